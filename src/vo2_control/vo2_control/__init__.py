@@ -1,0 +1,1 @@
+"""References, controllers and inverse compensation."""

@@ -1,0 +1,1 @@
+"""Self-sensing on the graph: deflection from resistance."""

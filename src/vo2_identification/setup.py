@@ -1,0 +1,38 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "vo2_identification"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={NAME: ["py.typed", "**/*.yaml", "**/*.css"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/launch", glob("launch/*.launch.py")),
+        (f"share/{NAME}/config", glob("config/*.yaml")),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="VO2 actuator maintainers",
+    maintainer_email="maintainers@example.org",
+    description="Excite, record, fit, diagnose: from recordings to a simulation that can be trusted.",
+    license="MIT",
+    # newer setuptools drops tests_require, and colcon would then silently run no test
+    extras_require={"test": ["pytest"]},
+    entry_points={
+        "console_scripts": [
+            "identifier = vo2_identification.identifier_node:main",
+            "record = vo2_identification.record:main",
+            "replay = vo2_identification.replay:main",
+            "convert = vo2_identification.convert:main",
+            "fit = vo2_identification.fit:main",
+            "diagnose = vo2_identification.diagnose:main",
+            "challenge = vo2_identification.challenge:main",
+            "reproduce = vo2_identification.reproduce:main",
+        ],
+    },
+)

@@ -1,0 +1,1 @@
+"""Excite, record, fit and diagnose."""

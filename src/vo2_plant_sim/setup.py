@@ -1,0 +1,31 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "vo2_plant_sim"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={NAME: ["py.typed", "**/*.yaml", "**/*.css"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/launch", glob("launch/*.launch.py")),
+        (f"share/{NAME}/config", glob("config/*.yaml")),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="VO2 actuator maintainers",
+    maintainer_email="maintainers@example.org",
+    description="The simulated device under test, and what a rig speaks on the graph.",
+    license="MIT",
+    # newer setuptools drops tests_require, and colcon would then silently run no test
+    extras_require={"test": ["pytest"]},
+    entry_points={
+        "console_scripts": [
+            "plant = vo2_plant_sim.plant_node:main",
+        ],
+    },
+)
