@@ -1,0 +1,243 @@
+"""What every feedback controller offers, and the one sampled linear law with limits behind all of them.
+
+PI, PID and H-infinity controllers are the same object at run time: a small discrete state-space law from
+(reference, estimate) to a current, followed by range and rate limits whose effect is fed back into the
+law's state. They differ only in how the matrices are designed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from vo2_models.validation import finite_array, positive_number
+
+__all__ = [
+    "Controller",
+    "Coordinate",
+    "CurrentLimits",
+    "LinearController",
+    "LinearLaw",
+    "limited_step",
+]
+
+Coordinate = Literal["current", "heating_power"]
+"""What the law computes: the current itself [A], or its square [A^2], which is linear in the temperature
+of a Joule heater, T = T0 + k i^2 (eq. 7.1), so that the loop gain no longer grows with the current."""
+
+
+class Controller(Protocol):
+    """A feedback controller at a fixed sample period."""
+
+    @property
+    def sample_period_s(self) -> float:
+        """Time between calls of `update` [s]."""
+        ...
+
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """A copy of the complete memory; assigning it restores the controller exactly."""
+        ...
+
+    @state.setter
+    def state(self, value: NDArray[np.float64]) -> None: ...
+
+    def update(self, reference_m: float, estimate_m: float) -> float:
+        """Advance one sample; return the current [A] to apply until the next one."""
+        ...
+
+    def reset(self, current_a: float, reference_m: float, estimate_m: float) -> None:
+        """Start anew so that the next `update` with these signals continues from `current_a` [A]."""
+        ...
+
+
+@dataclass(frozen=True)
+class CurrentLimits:
+    """Range [A] and rate [A/s] that a commanded current never leaves."""
+
+    lower_a: float
+    upper_a: float
+    rate_a_per_s: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.lower_a) and math.isfinite(self.upper_a)):
+            raise ValueError(f"limits: found {self.lower_a} to {self.upper_a} A, need finite currents")
+        if self.lower_a >= self.upper_a:
+            raise ValueError(
+                f"limits: found lower {self.lower_a:g} A, need less than upper {self.upper_a:g} A"
+            )
+        if not self.rate_a_per_s > 0:
+            raise ValueError(f"rate_a_per_s: found {self.rate_a_per_s}, need a number above 0")
+
+
+@dataclass(frozen=True)
+class LinearLaw:
+    """A discrete law v = c x + d (r, y), x+ = a x + b (r, y) + conditioning (v_applied - v).
+
+    Attributes
+    ----------
+    a : (n, n); b : (n, 2); c : (n,); d : (2,) with inputs reference r and estimate y [m]
+    conditioning : (n,) how the part of the output that the limits removed corrects the state: back-calculation
+        for an integrator, an observer gain in general (Hanus' conditioning is the case b/d)
+    sample_period_s : [s]
+    coordinate : unit of v, see `Coordinate`
+    """
+
+    a: NDArray[np.float64]
+    b: NDArray[np.float64]
+    c: NDArray[np.float64]
+    d: NDArray[np.float64]
+    conditioning: NDArray[np.float64]
+    sample_period_s: float
+    coordinate: Coordinate = "current"
+
+    def __post_init__(self) -> None:
+        a = finite_array(self.a, "a", ndim=2)
+        n = a.shape[0]
+        wanted = {"a": (n, n), "b": (n, 2), "c": (n,), "d": (2,), "conditioning": (n,)}
+        for name, shape in wanted.items():
+            array = finite_array(getattr(self, name), name, ndim=len(shape))
+            if array.shape != shape:
+                raise ValueError(f"{name}: found shape {array.shape}, need {shape}")
+            object.__setattr__(self, name, array)
+        positive_number(self.sample_period_s, "sample_period_s")
+        if self.coordinate not in ("current", "heating_power"):
+            raise ValueError(f"coordinate: found {self.coordinate!r}, need current or heating_power")
+
+    @property
+    def order(self) -> int:
+        """Number of states n."""
+        return self.a.shape[0]
+
+    def start_maps(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return (n,) and (n, 2): the bumpless start x = first * v + second (r, y).
+
+        Among the states whose output is v, it is the one that moves least in the next sample; a law
+        with integral action starts at rest when r equals y.
+        """
+        if self.order == 0 or not np.any(self.c):
+            return np.zeros(self.order), np.zeros((self.order, 2))
+        onto = self.c / (self.c @ self.c)
+        _, _, rows = np.linalg.svd(self.c[None, :])
+        free = rows[1:].T
+        still = np.eye(self.order) - self.a
+        settle = -free @ np.linalg.pinv(still @ free) if free.size else np.zeros((self.order, self.order))
+        from_v = onto + settle @ (still @ onto)
+        from_w = -np.outer(onto, self.d) - settle @ (still @ np.outer(onto, self.d) + self.b)
+        return from_v, from_w
+
+
+def limited_step(
+    a: NDArray[np.float64],
+    b: NDArray[np.float64],
+    c: NDArray[np.float64],
+    d: NDArray[np.float64],
+    conditioning: NDArray[np.float64],
+    squared: bool,
+    lower_a: float,
+    upper_a: float,
+    largest_change_a: float,
+    state: NDArray[np.float64],
+    reference_m: float,
+    estimate_m: float,
+) -> float:
+    """One sample of a `LinearLaw` behind its limits; updates `state` (n + 1,) in place, returns the current [A].
+
+    The last element of `state` is the current applied before. Plain loops: studies compile this very
+    function with numba, nodes call it as it is.
+    """
+    n = c.shape[0]
+    v = float(d[0]) * reference_m + float(d[1]) * estimate_m
+    for j in range(n):
+        v += float(c[j]) * float(state[j])
+    before = float(state[n])
+    wanted = (math.sqrt(v) if v > 0.0 else 0.0) if squared else v
+    current = min(max(wanted, before - largest_change_a), before + largest_change_a)
+    current = min(max(current, lower_a), upper_a)
+    # the law without limits must see no rounding from the square root and back
+    removed = 0.0
+    if current != wanted or (squared and v < 0.0):
+        removed = (current * current if squared else current) - v
+    following = np.empty(n)
+    for i in range(n):
+        total = b[i, 0] * reference_m + b[i, 1] * estimate_m + conditioning[i] * removed
+        for j in range(n):
+            total += a[i, j] * state[j]
+        following[i] = total
+    state[:n] = following
+    state[n] = current
+    return current
+
+
+@dataclass
+class LinearController:
+    """A `LinearLaw` behind `CurrentLimits`, with explicit memory (implements `Controller`).
+
+    Raises
+    ------
+    ValueError : `heating_power` with negative currents allowed; a signal that is not finite.
+    """
+
+    law: LinearLaw
+    limits: CurrentLimits
+    _state: NDArray[np.float64] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.law.coordinate == "heating_power" and self.limits.lower_a < 0:
+            raise ValueError(
+                f"limits: found lower {self.limits.lower_a:g} A, need at least 0 A: heating power has no sign"
+            )
+        self._starts = self.law.start_maps()
+        self._arguments = (
+            self.law.a,
+            self.law.b,
+            self.law.c,
+            self.law.d,
+            self.law.conditioning,
+            self.law.coordinate == "heating_power",
+            self.limits.lower_a,
+            self.limits.upper_a,
+            self.limits.rate_a_per_s * self.law.sample_period_s,
+        )
+        self._state = np.zeros(self.law.order + 1)
+        self._state[-1] = min(max(0.0, self.limits.lower_a), self.limits.upper_a)
+
+    @property
+    def sample_period_s(self) -> float:
+        return self.law.sample_period_s
+
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """(n + 1,): the law's state and the current applied last [A]; a copy."""
+        return self._state.copy()
+
+    @state.setter
+    def state(self, value: NDArray[np.float64]) -> None:
+        self._state = finite_array(value, "state", size=self.law.order + 1).copy()
+
+    def update(self, reference_m: float, estimate_m: float) -> float:
+        """Advance one sample; return the current [A].
+
+        Raises
+        ------
+        ValueError : a signal that is not finite; the memory is then unchanged.
+        """
+        if not (math.isfinite(reference_m) and math.isfinite(estimate_m)):
+            raise ValueError(
+                f"update: found reference {reference_m} m and estimate {estimate_m} m, need finite numbers"
+            )
+        return limited_step(*self._arguments, self._state, reference_m, estimate_m)
+
+    def reset(self, current_a: float, reference_m: float, estimate_m: float) -> None:
+        """Start bumplessly from `current_a` [A], clipped to the range, at the given signals [m]."""
+        signals = finite_array([reference_m, estimate_m], "reference_m, estimate_m")
+        current = min(
+            max(float(finite_array(current_a, "current_a", ndim=0)), self.limits.lower_a), self.limits.upper_a
+        )
+        v = current * current if self.law.coordinate == "heating_power" else current
+        from_v, from_w = self._starts
+        self._state[:-1] = from_v * v + from_w @ signals
+        self._state[-1] = current
