@@ -1,0 +1,201 @@
+"""The Preisach operator against relays switched one by one, and the properties that define it."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from vo2_models.preisach import PreisachOperator, PreisachState
+from vo2_models.preisach.grid import cell_areas, everett_table, pack, unpack
+
+
+def relays(walls, density, bias, diagonal, inputs, parts=4):
+    """Output by switching every hysteron: each cell cut into `parts` x `parts`, inputs on the sub-walls only."""
+    fine = np.concatenate([np.linspace(a, b, parts, endpoint=False) for a, b in pairwise(walls)])
+    fine = np.append(fine, walls[-1])
+    areas = np.tril(np.outer(np.diff(fine), np.diff(fine)))
+    areas[np.diag_indices_from(areas)] *= 0.5
+    cell = np.repeat(np.arange(walls.size - 1), parts)
+    mass = density[np.ix_(cell, cell)] * areas
+    if diagonal == "square":
+        mass[cell[:, None] == cell[None, :]] *= 2.0
+    relay = -np.ones_like(mass)
+    outputs = []
+    for v in inputs:
+        relay[fine[1:] <= v + 1e-12, :] = 1.0
+        relay[:, fine[:-1] >= v - 1e-12] = -1.0
+        outputs.append(bias + np.sum(mass * relay))
+    return np.array(outputs), fine
+
+
+def random_operator(rng, level, diagonal="triangle", uniform=True):
+    walls = np.linspace(-1.0, 2.0, level + 1) if uniform else np.cumsum(rng.uniform(0.05, 1.0, level + 1))
+    return PreisachOperator(walls, rng.uniform(0, 3, level * (level + 1) // 2), rng.normal(), diagonal)
+
+
+@pytest.mark.parametrize("diagonal", ["triangle", "square"])
+@pytest.mark.parametrize("uniform", [True, False])
+@pytest.mark.parametrize("level", [1, 2, 7])
+def test_equals_relays_switched_one_by_one(level, uniform, diagonal):
+    rng = np.random.default_rng(level)
+    operator = random_operator(rng, level, diagonal, uniform)
+    expected, fine = relays(operator.walls, operator.density, operator.bias, diagonal, [])
+    inputs = rng.choice(fine, 300)
+    expected, _ = relays(operator.walls, operator.density, operator.bias, diagonal, inputs)
+    assert operator(inputs) == pytest.approx(expected, abs=1e-11 * np.ptp(operator.output_range))
+
+
+def test_a_strongly_non_uniform_grid_finds_its_cells():
+    walls = np.r_[0.0, np.geomspace(1e-6, 1.0, 60)]
+    rng = np.random.default_rng(1)
+    operator = PreisachOperator(walls, rng.random(60 * 61 // 2))
+    assert operator(walls) == pytest.approx(
+        operator.output_range[0] + 2 * everett_table(operator.weights)[:, 0], rel=1e-12
+    )
+
+
+SEED = st.integers(0, 2**32 - 1)
+
+
+@given(seed=SEED, level=st.integers(1, 12), uniform=st.booleans())
+def test_batch_streaming_devices_and_split_runs_agree_exactly(seed, level, uniform):
+    rng = np.random.default_rng(seed)
+    operator = random_operator(rng, level, uniform=uniform)
+    low, high = operator.walls[[0, -1]]
+    inputs = np.where(
+        rng.random(120) < 0.3, rng.choice(operator.walls, 120), rng.uniform(low - 0.1, high + 0.1, 120)
+    )
+    inputs[rng.random(120) < 0.2] = inputs[0]
+    batch = operator(inputs)
+    state = operator.saturated()
+    assert [operator.update(v, state) for v in inputs] == batch.tolist()
+    start = operator.saturated(+1)
+    first, middle = operator.run(inputs[:50], start.copy())
+    second, end = operator.run(inputs[50:], middle)
+    again = operator(np.stack([inputs, inputs]), PreisachState(np.stack([start.array, start.array])))
+    assert np.array_equal(again[1], np.concatenate([first, second]))
+    assert operator.memory(state.history()) == state
+    assert end == operator.run(inputs, start)[1]
+
+
+@given(seed=SEED, level=st.integers(1, 12))
+def test_wiping_out_is_exact(seed, level):
+    rng = np.random.default_rng(seed)
+    operator = random_operator(rng, level)
+    before = operator.memory(rng.uniform(-1, 2, 10))
+    low, high = np.sort(rng.uniform(-1, 2, 2))
+    inner = rng.uniform(low, high, 20)
+    # the loop low -> high -> low wipes out everything that happened inside it
+    direct = operator.run([low, high, low], before.copy())[1]
+    detour = operator.run(np.r_[low, inner, high, inner, low], before.copy())[1]
+    assert direct == detour
+
+
+@given(seed=SEED, level=st.integers(1, 12))
+def test_congruency_minor_loops_between_the_same_inputs_have_the_same_shape(seed, level):
+    rng = np.random.default_rng(seed)
+    operator = random_operator(rng, level)
+    low, high = np.sort(rng.uniform(-1, 2, 2))
+    loop = np.r_[high, np.linspace(low, high, 9), np.linspace(high, low, 9)]
+    shapes = []
+    for _ in range(2):
+        u = operator.run(loop, operator.memory(rng.uniform(-1, 2, 8)))[0]
+        shapes.append(u[1:] - u[1])
+    assert shapes[0] == pytest.approx(shapes[1], abs=1e-12 * np.ptp(operator.output_range))
+
+
+@given(seed=SEED, level=st.integers(1, 12))
+def test_monotone_input_gives_monotone_output_and_order_is_kept(seed, level):
+    rng = np.random.default_rng(seed)
+    operator = random_operator(rng, level)
+    tolerance = 1e-13 * np.ptp(operator.output_range)
+    state = operator.memory(rng.uniform(-1, 2, 10))
+    rise = np.sort(rng.uniform(state.array[1], 2.0, 30))
+    assert np.all(np.diff(operator.run(rise, state)[0]) >= -tolerance)
+    lower = rng.uniform(-1, 2, 40)
+    upper = lower + rng.uniform(0, 0.5, 40)
+    assert np.all(operator(upper) - operator(lower) >= -tolerance)
+
+
+@given(seed=SEED, level=st.integers(1, 12), repeats=st.integers(2, 5))
+def test_rate_independence(seed, level, repeats):
+    rng = np.random.default_rng(seed)
+    operator = random_operator(rng, level)
+    inputs = rng.uniform(-1, 2, 30)
+    slow = np.interp(np.arange(29 * repeats + 1) / repeats, np.arange(30), inputs)
+    slow[::repeats] = inputs
+    assert operator(slow)[::repeats] == pytest.approx(
+        operator(inputs), abs=1e-12 * np.ptp(operator.output_range)
+    )
+
+
+def test_state_grows_with_the_turning_points_and_survives_saving(tmp_path):
+    operator = random_operator(np.random.default_rng(2), 20)
+    spiral = 0.5 + 1.5 * (-0.99) ** np.arange(400)
+    state = operator.saturated()
+    batch, state = operator.run(spiral, state)
+    assert state.array[0] > 380
+    streamed = operator.saturated()
+    assert [operator.update(v, streamed) for v in spiral] == batch.tolist()
+    np.save(tmp_path / "state.npy", state.array)
+    assert PreisachState(np.load(tmp_path / "state.npy")) == state
+    devices = operator.saturated(devices=3)
+    assert np.array_equal(operator.run(np.stack([spiral] * 3), devices)[0][2], batch)
+    assert operator.run([5.0], state)[1] == operator.saturated(+1)
+    assert state.array[0] == 1
+
+
+def test_state_does_not_follow_its_copy():
+    operator = random_operator(np.random.default_rng(3), 5)
+    state = operator.memory([1.0, 0.2])
+    kept = state.copy()
+    operator.update(1.5, state)
+    assert kept != state and kept == operator.memory([1.0, 0.2])
+
+
+def test_packing_and_the_saturation_values():
+    cells = np.tril(np.arange(1.0, 10.0).reshape(3, 3))
+    assert pack(cells).tolist() == [1, 4, 5, 7, 8, 9]
+    assert np.array_equal(unpack(pack(cells)), cells)
+    operator = PreisachOperator.from_weights([0.0, 1.0, 3.0, 4.0], cells, bias=2.0)
+    assert operator.output_range == (2.0 - 34.0, 2.0 + 34.0)
+    assert operator.weights == pytest.approx(cells)
+    assert cell_areas(np.array([0.0, 1.0, 3.0]), "square").tolist() == [[1, 0], [2, 4]]
+    assert operator.parameters[-1] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: PreisachOperator([0, 0, 1], np.ones(3)), r"walls: found 0 after 0 at index 1"),
+        (lambda: PreisachOperator([0], np.ones(0)), r"walls: found 1 value\(s\), need at least 2"),
+        (lambda: PreisachOperator([0, 1, 2], np.ones(4)), r"vector: found 4 elements, need L \(L \+ 1\) / 2"),
+        (lambda: PreisachOperator([0, 1, 2], np.ones(6)), r"density: found level \(3, 3\), need \(2, 2\)"),
+        (lambda: PreisachOperator([0, 1, 2], np.ones((2, 2))), r"density: found 1 at \(0, 1\), need 0 above"),
+        (lambda: PreisachOperator([0, 1], [np.nan]), r"density: found nan at index \(0,\)"),
+        (
+            lambda: PreisachOperator([0, 1], [1.0], diagonal="full"),
+            r"diagonal: found 'full', need 'triangle'",
+        ),
+        (lambda: PreisachOperator([0, 1], [1.0]).saturated(0), r"sign: found 0, need -1 or \+1"),
+        (lambda: PreisachOperator([0, 1], [1.0])([0.0, np.inf]), r"v: found inf at index \(1,\)"),
+        (lambda: PreisachOperator([0, 1], [1.0])(0.5), r"v: found shape \(\), need 1 or 2 dimension"),
+        (
+            lambda: PreisachOperator([0, 1], [1.0]).update(
+                np.nan, PreisachOperator([0, 1], [1.0]).saturated()
+            ),
+            r"v: found nan, need a number",
+        ),
+        (
+            lambda: PreisachOperator([0, 1], [1.0]).run(
+                np.zeros((3, 4)), PreisachOperator([0, 1], [1.0]).saturated(devices=2)
+            ),
+            r"v: found shape \(3, 4\), need \(2, 'n'\)",
+        ),
+        (lambda: PreisachState(np.zeros(2)), r"array: found shape \(2,\)"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

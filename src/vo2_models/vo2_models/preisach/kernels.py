@@ -1,0 +1,204 @@
+"""Compiled kernels of the Preisach operator: one step, a whole sequence, many devices.
+
+Along one leg (monotone input since the last turning point `base`) the output is
+`u = u(base) +- 2 E(v, base)` with the Everett function E, which inside a cell of the grid is a polynomial of
+degree two in v. The memory is the stack of turning points that are not wiped out yet, each with the output
+it had, so a step costs a comparison and a polynomial, and a wiped-out loop leaves no trace, not even of rounding.
+
+State array: `[n, v, u, v_0, u_0, v_1, u_1, ...]`: the number of turning points, present input (clipped to
+the grid) and output, then the turning points from the outermost inwards. Point 0 is the lowest wall
+(negative saturation); odd n means a rising leg, even n a falling one.
+
+Operator arguments, in this order (`PreisachOperator.compiled`): `table` (L + 1, L + 1) from
+`grid.everett_table`, `walls` (L + 1,), `half` (L,) half the density of the diagonal triangles, `buckets`
+(B,) first guess of the cell, `scale` = B / (walls[-1] - walls[0]).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+__all__ = [
+    "HEADER",
+    "cell_polynomial",
+    "leg_start",
+    "locate",
+    "run",
+    "run_devices",
+    "step",
+    "turn_and_wipe",
+]
+
+HEADER = 3
+"""Elements of a state array before the turning points."""
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def locate(v, walls, buckets, scale):
+    """Return the cell that holds `v`, which must lie on the grid."""
+    last = walls.size - 2
+    k = min(int((v - walls[0]) * scale), buckets.size - 1)
+    cell = buckets[k]
+    upper = buckets[k + 1] if k + 1 < buckets.size else last
+    while upper - cell > 4:  # a strongly non-uniform grid: many cells in one bucket
+        middle = (cell + upper) // 2
+        if walls[middle] <= v:
+            cell = middle
+        else:
+            upper = middle
+    while cell > 0 and v < walls[cell]:
+        cell -= 1
+    while cell < last and v >= walls[cell + 1]:
+        cell += 1
+    return cell
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def leg_start(base_v, walls, half, buckets, scale):
+    """Return q, share, parabola: cell of the leg's first point, where in it, and what the diagonal adds there."""
+    q = locate(base_v, walls, buckets, scale)
+    y = base_v - walls[q]
+    width = walls[q + 1] - walls[q]
+    return q, y / width, half[q] * y * (y - width)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def cell_polynomial(sign, base_u, q, share, parabola, p, table, walls, half):
+    """Return c0, c1, c2: the output on cell `p` is c0 + c1 t + c2 t^2 with t = v - walls[p].
+
+    `sign` is +1 on a rising leg, -1 on a falling one; `base_u` is the output at its first point. The Everett
+    function is bilinear between the nodes, plus the parabolas of the two diagonal triangles it cuts, which
+    vanish at the nodes.
+    """
+    left = (1.0 - share) * table[q, p] + share * table[q + 1, p]
+    right = (1.0 - share) * table[q, p + 1] + share * table[q + 1, p + 1]
+    width = walls[p + 1] - walls[p]
+    c0 = base_u + 2.0 * sign * (left + parabola)
+    c1 = 2.0 * sign * ((right - left) / width - half[p] * width)
+    c2 = 2.0 * sign * half[p]
+    return c0, c1, c2
+
+
+@njit(cache=True, error_model="numpy")
+def turn_and_wipe(v, state, walls):
+    """Push the turning point if `v` reverses, wipe out what it passes, and return n; -1 if there is no room."""
+    n = int(state[0])
+    rises = v > state[1]
+    if rises != (n % 2 == 1):
+        if HEADER + 2 * n + 2 > state.size:
+            return -1
+        state[HEADER + 2 * n] = state[1]
+        state[HEADER + 2 * n + 1] = state[2]
+        n += 1
+    if rises:
+        while n >= 3 and v >= state[HEADER + 2 * (n - 2)]:
+            n -= 2
+    else:
+        while n >= 4 and v <= state[HEADER + 2 * (n - 2)]:
+            n -= 2
+        if n == 2 and v <= walls[0]:
+            n = 1
+    state[0] = n
+    return n
+
+
+@njit(cache=True, error_model="numpy")
+def step(v, state, table, walls, half, buckets, scale):
+    """Apply one input and return the output; `state` changes in place.
+
+    Returns NaN, with the state unchanged, for a NaN input or a state without room: a caller in Python tells
+    the two apart and enlarges the state (`PreisachOperator.update`).
+    """
+    if v != v:
+        return np.nan
+    v = min(max(v, walls[0]), walls[-1])
+    if v == state[1]:
+        return state[2]
+    n = turn_and_wipe(v, state, walls)
+    if n < 0:
+        return np.nan
+    base = HEADER + 2 * (n - 1)
+    q, share, parabola = leg_start(state[base], walls, half, buckets, scale)
+    p = locate(v, walls, buckets, scale)
+    sign = 1.0 if n % 2 == 1 else -1.0
+    c0, c1, c2 = cell_polynomial(sign, state[base + 1], q, share, parabola, p, table, walls, half)
+    t = v - walls[p]
+    state[1] = v
+    state[2] = c0 + t * (c1 + t * c2)
+    return state[2]
+
+
+@njit(cache=True, error_model="numpy")
+def run(v, out, first, state, table, walls, half, buckets, scale):
+    """Apply `v[first:]`, write `out[first:]`, and return how far it came (`v.size`, unless the state is full).
+
+    As long as the input neither turns nor crosses a wall, the same polynomial holds; as long as it neither
+    turns nor wipes out a corner, the next cell's follows from two more nodes of the table.
+    """
+    low = walls[0]
+    high = walls[-1]
+    last = walls.size - 2
+    now = state[1]
+    u = state[2]
+    up = True
+    sign = 1.0
+    p = 0
+    q = 0
+    share = 0.0
+    parabola = 0.0
+    base_u = 0.0
+    c0 = 0.0
+    c1 = 0.0
+    c2 = 0.0
+    begin = np.inf  # the cell's ends; none yet, so the first sample goes the long way
+    end = -np.inf
+    corner = -np.inf
+    for k in range(first, v.size):
+        x = min(max(v[k], low), high)
+        if x == now:
+            out[k] = u
+            continue
+        if (x > now) != up or ((x >= corner) if up else (x <= corner)):
+            state[1] = now
+            state[2] = u
+            n = turn_and_wipe(x, state, walls)
+            if n < 0:
+                return k
+            up = n % 2 == 1
+            sign = 1.0 if up else -1.0
+            base = HEADER + 2 * (n - 1)
+            base_u = state[base + 1]
+            q, share, parabola = leg_start(state[base], walls, half, buckets, scale)
+            corner = state[base - 2] if n > 1 else np.inf
+            begin = np.inf
+            end = -np.inf
+        if not (begin <= x < end):
+            if begin <= x and p < last and x < walls[p + 2]:
+                p += 1
+            elif x < end and p > 0 and x >= walls[p - 1]:
+                p -= 1
+            else:
+                p = locate(x, walls, buckets, scale)
+            c0, c1, c2 = cell_polynomial(sign, base_u, q, share, parabola, p, table, walls, half)
+            begin = walls[p]
+            end = walls[p + 1] if p < last else np.inf
+        t = x - begin
+        u = c0 + t * (c1 + t * c2)
+        out[k] = u
+        now = x
+    state[1] = now
+    state[2] = u
+    return v.size
+
+
+@njit(cache=True, error_model="numpy")
+def run_devices(v, out, done, state, table, walls, half, buckets, scale):
+    """`run` for each row of `v` (devices, n) with its row of `state`; `done` (devices,) says how far each came."""
+    complete = True
+    for device in range(v.shape[0]):
+        done[device] = run(
+            v[device], out[device], done[device], state[device], table, walls, half, buckets, scale
+        )
+        complete = complete and done[device] == v.shape[1]
+    return complete
