@@ -1,0 +1,206 @@
+"""A bag as recordings: one per topic of the contract, with everything that is wrong named."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from vo2_models.recording import (
+    COMMANDED_CURRENT,
+    HEATER_CURRENT,
+    RESISTANCE,
+    STAGE_TEMPERATURE,
+    TIP_DEFLECTION,
+    Recording,
+)
+
+from vo2_identification.bags.channels import JOINT_STATE
+from vo2_identification.bags.joint_state import JointStates, Samples
+from vo2_identification.bags.problems import BagError, Problem, limited
+from vo2_identification.bags.stamps import find_gaps, increasing_samples
+from vo2_identification.bags.storage import raw_messages
+
+__all__ = ["KNOWN_CHANNELS", "ROLES", "commanded_current", "read_bag", "read_recording"]
+
+ROLES = ("command", "measurement", "estimate", "reference")
+"""Last parts of the topic names that carry samples."""
+
+KNOWN_CHANNELS = (
+    HEATER_CURRENT,
+    RESISTANCE,
+    TIP_DEFLECTION,
+    STAGE_TEMPERATURE,
+    "temperature_surrogate",
+    "tip_deflection_bound",
+    "heater_voltage",
+    "sense_current",
+    "ambient_temperature",
+    "laser_on",
+)
+"""Channels that are read; a message may have others, which are ignored."""
+
+
+def read_recording(path: str | Path, *, namespace: str = "/vo2") -> tuple[Recording, list[Problem]]:
+    """Return the measurement of a bag, with the commanded current if it has commands, and what is wrong.
+
+    Missing samples of a channel are NaN, infinite ones too. `commanded_current` is NaN up to the first command.
+
+    Parameters
+    ----------
+    path : bag directory (with or without metadata.yaml), or a single .mcap or .db3 file
+    namespace : where the topics are looked for first; else any namespace is taken, and reported
+
+    Raises
+    ------
+    BagError : no bag, or no measurement in it.
+    """
+    recordings, problems = read_bag(path, namespace=namespace, roles=("measurement", "command"))
+    if "measurement" not in recordings:
+        raise BagError(
+            f"{path}: found no samples on a topic {namespace}/measurement (or .../measurement of type "
+            f"{JOINT_STATE}), need them; {'; '.join(map(str, problems[:3]))}"
+        )
+    measurement = recordings["measurement"]
+    command = recordings.get("command")
+    if command is None or HEATER_CURRENT not in command:
+        return measurement, problems
+    channels = dict(measurement.channels)
+    channels[COMMANDED_CURRENT] = commanded_current(
+        command.time_s, command[HEATER_CURRENT], measurement.time_s
+    )
+    return Recording(measurement.time_s, channels, measurement.device), problems
+
+
+def read_bag(
+    path: str | Path,
+    *,
+    namespace: str = "/vo2",
+    roles: Sequence[str] = ROLES,
+    channels: Collection[str] = KNOWN_CHANNELS,
+) -> tuple[dict[str, Recording], list[Problem]]:
+    """Return the recordings of the given roles that the bag has, and what is wrong.
+
+    Parameters
+    ----------
+    path, namespace : as in `read_recording`
+    roles : last parts of topic names
+    channels : names that are read
+
+    Raises
+    ------
+    BagError : no bag.
+    """
+    problems: list[Problem] = []
+    topics: dict[str, JointStates] = {}
+    ignored: set[str] = set()
+    for message in raw_messages(path, problems):
+        topic = message.channel.topic
+        if topic not in topics:
+            if topic in ignored:
+                continue
+            if message.channel.msgtype != JOINT_STATE or not topic.endswith(tuple(roles)):
+                ignored.add(topic)
+                continue
+            topics[topic] = JointStates()
+        topics[topic].add(message.data)
+    samples = {topic: collected.samples() for topic, collected in topics.items()}
+    recordings = {}
+    for role in roles:
+        name = _topic_of(role, namespace, samples, problems)
+        if name is None:
+            text = f"no samples on this topic, nor on another .../{role} of type {JOINT_STATE}"
+            problems.append(Problem("missing_topic", f"{namespace.rstrip('/')}/{role}", text))
+            continue
+        recording = _recording(name, samples[name], channels, problems, regular=role != "reference")
+        if len(recording):
+            recordings[role] = recording
+    return recordings, problems
+
+
+def commanded_current(
+    command_time_s: NDArray[np.float64], command: NDArray[np.float64], time_s: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the command that governed the interval ending at each of `time_s` (n,) [A].
+
+    A command carries the stamp of the sample that it answers and holds from there on: the interval that ends
+    at t_k is governed by the last command with a stamp before t_k. NaN where none has come yet.
+    """
+    last = np.searchsorted(command_time_s, time_s, side="left") - 1
+    return np.where(last >= 0, command[np.maximum(last, 0)], np.nan)
+
+
+def _topic_of(role: str, namespace: str, samples: dict[str, Samples], problems: list[Problem]) -> str | None:
+    wanted = f"{namespace.rstrip('/')}/{role}"
+    if wanted in samples:
+        return wanted
+    found = [name for name in samples if name.endswith(f"/{role}")] or [
+        name for name in samples if name.endswith(role)
+    ]
+    if not found:
+        return None
+    best = max(sorted(found), key=lambda name: samples[name].stamp_ns.size)
+    others = [name for name in found if name != best]
+    text = f"read in place of {wanted}, which the bag does not have"
+    if others:
+        text += f"; not read: {', '.join(others)}"
+    problems.append(Problem("other_namespace", best, text))
+    return best
+
+
+def _recording(
+    topic: str, samples: Samples, channels: Collection[str], problems: list[Problem], *, regular: bool
+) -> Recording:
+    problems.extend(
+        limited([Problem("malformed", topic, reason, index=k) for k, reason in samples.malformed])
+    )
+    kept, disorder = increasing_samples(topic, samples)
+    problems.extend(disorder)
+    stamp = samples.stamp_ns[kept]
+    if regular:
+        problems.extend(find_gaps(topic, stamp, kept))
+    values = {}
+    for name in samples.values:
+        if name not in channels:
+            continue
+        column = samples.values[name][kept]
+        present = samples.present[name][kept]
+        if not present.all():
+            places = np.flatnonzero(~present)
+            text = f"channel {name} is absent from {places.size} of {present.size} samples, from here on"
+            problems.append(
+                Problem("absent_channel", topic, text, stamp[places[0]] / 1e9, int(kept[places[0]]))
+            )
+        problems.extend(_not_finite(topic, name, column, present, stamp, kept))
+        values[name] = np.where(np.isfinite(column), column, np.nan)
+    device = max(sorted(samples.frames), key=lambda frame: samples.frames[frame], default="")
+    if len(samples.frames) > 1:
+        every = ", ".join(f"{frame!r} ({n})" for frame, n in sorted(samples.frames.items()))
+        problems.append(
+            Problem("other_device", topic, f"several devices in one topic: {every}; took {device!r}")
+        )
+    return Recording(stamp / 1e9, values, device)
+
+
+def _not_finite(
+    topic: str,
+    name: str,
+    column: NDArray[np.float64],
+    present: NDArray[np.bool_],
+    stamp: NDArray[np.int64],
+    kept: NDArray[np.int64],
+) -> list[Problem]:
+    """Return one problem per stretch of samples whose value is not a number or infinite."""
+    bad = present & ~np.isfinite(column)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], bad.view(np.int8), [0]))))
+    found = []
+    for first, after in zip(edges[::2], edges[1::2], strict=True):
+        what = "NaN" if np.isnan(column[first:after]).all() else "not finite"
+        many = (
+            "" if after - first == 1 else f" in {after - first} samples, up to {stamp[after - 1] / 1e9:.9g} s"
+        )
+        found.append(
+            Problem("nan", topic, f"channel {name} is {what}{many}", stamp[first] / 1e9, int(kept[first]))
+        )
+    return limited(found)

@@ -1,0 +1,271 @@
+"""Bags that every rosbag2 tool reads: metadata, QoS, message definitions and type hashes included."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import yaml
+from rosbags.interfaces import Qos
+from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, Recording
+
+from vo2_identification.bags.channels import JOINT_STATE, Channel
+from vo2_identification.bags.joint_state import encode, typestore
+from vo2_identification.bags.mcap_file import McapFile
+from vo2_identification.bags.problems import BagError
+from vo2_identification.bags.qos import contract_qos, profiles, profiles_text
+from vo2_identification.bags.sqlite_file import SqliteFile
+
+__all__ = ["STORAGES", "BagWriter", "write_bag"]
+
+STORAGES = {"mcap": (McapFile, ".mcap"), "sqlite3": (SqliteFile, ".db3")}
+"""Storage identifier of rosbag2 -> class that writes it, file ending."""
+
+_ORDER = ("reference", "measurement", "estimate", "command")
+"""Order of messages with equal stamps: a command answers the measurement of its stamp."""
+
+
+class BagWriter:
+    """Writes one bag, which is whole on disk at any time up to its last flush.
+
+    >>> with BagWriter("bag") as bag:  # doctest: +SKIP
+    ...     topic = bag.add_topic("/vo2/measurement", "sensor_msgs/msg/JointState")
+    ...     bag.write(topic, stamp_ns, serialized)
+
+    Parameters
+    ----------
+    path : directory to create; must not exist
+    storage : "mcap" or "sqlite3"
+    flush_period_s : a message written longer ago than this is on disk [s]; checked at `write`
+
+    Raises
+    ------
+    BagError : unknown storage, the path exists, or cannot be made.
+    """
+
+    def __init__(self, path: str | Path, *, storage: str = "mcap", flush_period_s: float = 0.5) -> None:
+        if storage not in STORAGES:
+            raise BagError(f"storage: found {storage!r}, need {' or '.join(STORAGES)}")
+        self.path = Path(path)
+        self.flush_period_s = flush_period_s
+        self._storage_id = storage
+        kind, ending = STORAGES[storage]
+        try:
+            self.path.mkdir(parents=True)
+        except FileExistsError:
+            raise BagError(f"{path}: exists already, need the name of a new bag") from None
+        except OSError as error:
+            raise BagError(f"{path}: cannot be created ({error.strerror}), need a writable folder") from error
+        self._topics: list[tuple[Channel, Qos]] = []
+        self._closed = False
+        self._due = time.monotonic() + flush_period_s
+        try:
+            # rosbag2 numbers its files, since a bag can be split
+            self._storage: Any = kind(self.path / f"{self.path.resolve().name}_0{ending}")
+            self._write_metadata(self._metadata())
+        except OSError as error:
+            raise BagError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+    @property
+    def count(self) -> int:
+        """Number of messages on disk."""
+        return sum(self._storage.counts.values())
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of messages on disk of each topic."""
+        return {
+            channel.topic: self._storage.counts[number]
+            for number, (channel, _) in enumerate(self._topics, start=1)
+        }
+
+    def add_topic(self, topic: str, msgtype: str, *, qos: Qos | None = None) -> int:
+        """Announce a topic and return its number for `write`; the QoS is the contract's unless given.
+
+        Raises
+        ------
+        ValueError : a message type that the ROS 2 Jazzy interfaces do not have.
+        """
+        definition, digest = _definition(msgtype)
+        qos = qos or contract_qos(topic)
+        channel = Channel(topic, msgtype, profiles_text(qos), digest)
+        self._topics.append((channel, qos))
+        self._storage.add_channel(len(self._topics), channel, definition)
+        return len(self._topics)
+
+    def write(self, number: int, log_time_ns: int, data: bytes) -> None:
+        """Append a serialized message of topic `number`.
+
+        Raises
+        ------
+        OSError : the disk is full or gone; the bag stays readable up to the flush before.
+        """
+        if self._storage.write(number, log_time_ns, data) or time.monotonic() >= self._due:
+            self.flush()
+
+    def flush(self) -> None:
+        """Bring everything written so far to disk.
+
+        Raises
+        ------
+        OSError : the disk is full or gone; the bag stays readable up to the flush before.
+        """
+        self._due = time.monotonic() + self.flush_period_s
+        document = self._metadata()
+        self._storage.flush(yaml.safe_dump(document[_INFORMATION], sort_keys=False))
+        self._write_metadata(document)
+
+    def close(self) -> None:
+        """Flush and close.
+
+        Raises
+        ------
+        OSError : the last flush failed; the bag is closed and readable up to the flush before.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self.flush()
+        finally:
+            self._storage.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _metadata(self) -> dict[str, Any]:
+        counts, first, last = self._storage.pending_totals()
+        total = sum(counts.values())
+        start = {"nanoseconds_since_epoch": first}
+        duration = {"nanoseconds": last - first}
+        name = self._storage.path.name
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": channel.topic,
+                    "type": channel.msgtype,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": profiles(qos),
+                    "type_description_hash": channel.type_hash,
+                },
+                "message_count": counts[number],
+            }
+            for number, (channel, qos) in enumerate(self._topics, start=1)
+        ]
+        return {
+            _INFORMATION: {
+                "version": 9,
+                "storage_identifier": self._storage_id,
+                "duration": duration,
+                "starting_time": start,
+                "message_count": total,
+                "topics_with_message_count": topics,
+                "compression_format": "",
+                "compression_mode": "",
+                "relative_file_paths": [name],
+                "files": [
+                    {
+                        "path": name,
+                        "starting_time": dict(start),
+                        "duration": dict(duration),
+                        "message_count": total,
+                    }
+                ],
+                "custom_data": None,
+                "ros_distro": "jazzy",
+            }
+        }
+
+    def _write_metadata(self, document: dict[str, Any]) -> None:
+        # under another name first: there is a whole metadata.yaml at any time
+        partial = self.path / "metadata.yaml.partial"
+        try:
+            partial.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+        except OSError:
+            partial.unlink(missing_ok=True)
+            raise
+        os.replace(partial, self.path / "metadata.yaml")
+
+
+_INFORMATION = "rosbag2_bagfile_information"
+
+
+def write_bag(
+    path: str | Path,
+    recordings: Recording | Mapping[str, Recording],
+    *,
+    storage: str = "mcap",
+    namespace: str = "/vo2",
+) -> Path:
+    """Write recordings as a bag and return its path; log times are the stamps.
+
+    A measurement with `commanded_current` also becomes commands, each stamped with the sample before the
+    interval that it governs, unless the recordings bring a command of their own.
+
+    Parameters
+    ----------
+    path : directory to create
+    recordings : role (`measurement`, `command`, `estimate`, `reference`) -> recording, or a measurement alone
+    storage : "mcap" or "sqlite3"
+    namespace : of the topics
+
+    Raises
+    ------
+    BagError : unknown storage, the path exists, or cannot be made.
+    OSError : the disk is full.
+    """
+    given = {"measurement": recordings} if isinstance(recordings, Recording) else dict(recordings)
+    if unknown := sorted(set(given) - set(_ORDER)):
+        raise BagError(f"recordings: found {', '.join(unknown)}, need some of {', '.join(_ORDER)}")
+    measurement = given.get("measurement")
+    if measurement is not None and COMMANDED_CURRENT in measurement and "command" not in given:
+        given["command"] = _commands(measurement)
+    roles = [role for role in _ORDER if role in given]
+    stamps = [np.rint(given[role].time_s * 1e9).astype(np.int64) for role in roles]
+    messages = [_encoded(given[role], stamp) for role, stamp in zip(roles, stamps, strict=True)]
+    # flushed by size alone: the same recordings make the same file, byte for byte
+    with BagWriter(path, storage=storage, flush_period_s=math.inf) as bag:
+        topics = [bag.add_topic(f"{namespace.rstrip('/')}/{role}", JOINT_STATE) for role in roles]
+        topic = np.repeat(np.arange(len(roles)), [stamp.size for stamp in stamps])
+        every = np.concatenate(stamps) if stamps else np.empty(0, np.int64)
+        place = np.concatenate([np.arange(stamp.size) for stamp in stamps]) if stamps else every
+        order = np.lexsort((topic, every))
+        in_order = zip(topic[order].tolist(), every[order].tolist(), place[order].tolist(), strict=True)
+        for which, stamp, k in in_order:
+            bag.write(topics[which], stamp, messages[which][k])
+    return bag.path
+
+
+def _encoded(recording: Recording, stamp_ns: np.ndarray) -> list[bytes]:
+    names = [name for name in recording.channels if name != COMMANDED_CURRENT]
+    matrix = np.column_stack([recording[name] for name in names]) if names else np.empty((len(recording), 0))
+    return encode(stamp_ns, names, matrix, recording.device)
+
+
+def _commands(measurement: Recording) -> Recording:
+    current = measurement[COMMANDED_CURRENT][1:]
+    given = np.flatnonzero(~np.isnan(current))
+    first = int(given[0]) if given.size else current.size  # NaN up to here: nothing was commanded yet
+    return Recording(measurement.time_s[first:-1], {HEATER_CURRENT: current[first:]}, measurement.device)
+
+
+@lru_cache(maxsize=64)
+def _definition(msgtype: str) -> tuple[str, str]:
+    """Return the text of the message definition and its RIHS01 hash."""
+    store = typestore()
+    if msgtype not in store.fielddefs:
+        raise BagError(f"message type {msgtype}: not among the common interfaces of ROS 2 Jazzy")
+    text, _ = store.generate_msgdef(msgtype, ros_version=2)
+    return text, store.hash_rihs01(msgtype)
