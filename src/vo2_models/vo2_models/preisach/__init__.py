@@ -8,8 +8,11 @@ from importlib import import_module
 from typing import Any
 
 _HOME = {
+    "PreisachFit": "least_squares",
     "PreisachOperator": "operator",
     "PreisachState": "memory",
+    "fit_preisach": "least_squares",
+    "signed_area_matrix": "signed_area",
 }
 
 __all__ = sorted(_HOME)

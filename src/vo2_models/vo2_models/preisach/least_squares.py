@@ -1,0 +1,141 @@
+"""Identification of a Preisach operator by (non-negative) least squares, sections 4.1, 4.4 and 5.3."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg, sparse
+
+from vo2_models.excitation import damped_oscillation
+from vo2_models.preisach.damped import inverse_map
+from vo2_models.preisach.grid import Diagonal, cell_areas, cell_count, checked_walls, pack
+from vo2_models.preisach.nnls import RankDeficientError, nonnegative_least_squares, projected_outputs
+from vo2_models.preisach.operator import PreisachOperator
+from vo2_models.preisach.signed_area import signed_area_matrix
+from vo2_models.validation import finite_array
+
+__all__ = ["PreisachFit", "fit_preisach"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PreisachFit:
+    """What an identification found.
+
+    Attributes
+    ----------
+    operator : density and bias
+    slope : the coefficient c_d of the linear term of (4.19), 0 without one [output unit / input unit]
+    residual : (n,) measured minus modelled output
+    """
+
+    operator: PreisachOperator
+    slope: float
+    residual: Floats
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square of the residual [output unit]."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+    def predict(self, v: ArrayLike, history: ArrayLike = ()) -> Floats:
+        """Return the output under `v` (n,) after `history`, which starts in negative saturation."""
+        values = finite_array(v, "v")
+        return self.operator(values, self.operator.memory(history)) + self.slope * values
+
+
+def fit_preisach(
+    v: ArrayLike,
+    u: ArrayLike,
+    walls: ArrayLike,
+    *,
+    nonnegative: bool = True,
+    linear: bool = False,
+    diagonal: Diagonal = "triangle",
+    history: ArrayLike | None = None,
+) -> PreisachFit:
+    """Minimise |S w - u|_2 over densities, bias and, if asked for, the slope of a linear term.
+
+    For the damped oscillation (`excitation.damped_oscillation(walls)`, exactly) the sparse inverse of S is
+    used: milliseconds where the dense problem takes seconds. Any other input goes through the dense matrix.
+
+    With inputs on the walls only, a linear term cannot be told from the cells on the diagonal: one sample
+    more, at an input outside the grid or (with `diagonal="triangle"`) between walls, is needed. Section 4.4
+    says that any non-zero input serves; one on a wall does not.
+
+    Parameters
+    ----------
+    v, u : (n,) input and measured output
+    walls : (L + 1,) increasing input levels
+    nonnegative : demand densities >= 0 (bias and slope are free); else the signed Preisach operator of 5.3.2
+    linear : include the linear term of (4.19)
+    diagonal : how the cells on the diagonal count, see `PreisachOperator`
+    history : (m,) inputs before `v` from negative saturation; None where `v` starts in negative saturation
+
+    Raises
+    ------
+    ValueError : not finite, shapes differ, or too little excitation: fewer samples than unknowns, cells that
+        never switch, or unknowns that the input does not tell apart.
+    """
+    checked = checked_walls(walls)
+    inputs = finite_array(v, "v")
+    outputs = finite_array(u, "u", size=inputs.size)
+    level = checked.size - 1
+    cells = cell_count(level)
+    areas = pack(cell_areas(checked, diagonal))
+    if not linear and history is None and _is_damped_oscillation(inputs, checked):
+        inverse = inverse_map(level)
+        weights = inverse[:cells] @ outputs
+        bias = float((inverse[cells] @ outputs)[0])
+        if nonnegative:
+            # a face per cell, in units of density: where it holds, that density is zero
+            faces = sparse.csr_matrix(sparse.diags_array(1.0 / areas) @ inverse[:cells])
+            fitted, density = projected_outputs(faces, outputs)
+            bias = float((inverse[cells] @ fitted)[0])
+            weights = density * areas
+        operator = PreisachOperator(checked, weights / areas, bias, diagonal)
+        return PreisachFit(operator, 0.0, outputs - operator(inputs))
+
+    matrix = signed_area_matrix(inputs, checked, linear=linear, diagonal=diagonal, history=history)
+    unknowns = matrix.shape[1]
+    still = np.ptp(matrix[:, :cells], axis=0) == 0
+    if np.any(still):
+        i, j = (int(k[np.flatnonzero(still)[0]]) for k in np.tril_indices(level))
+        raise ValueError(
+            f"v: found {np.count_nonzero(still)} of {cells} cells that never switch (the first: alpha in "
+            f"[{checked[i]:g}, {checked[i + 1]:g}], beta in [{checked[j]:g}, {checked[j + 1]:g}]), need an input that "
+            "excites all, such as excitation.damped_oscillation(walls), or fewer cells"
+        )
+    free = np.arange(unknowns) >= cells
+    try:
+        if nonnegative:
+            solution = nonnegative_least_squares(matrix, outputs, free)
+        else:
+            solution, _, rank, _ = linalg.lstsq(matrix, outputs, lapack_driver="gelsy", cond=1e-11)
+            if rank < unknowns:
+                raise RankDeficientError(
+                    f"the matrix of signed areas has rank {rank} for {unknowns} unknowns"
+                )
+    except RankDeficientError as error:
+        raise ValueError(
+            f"v: found too little excitation ({error}), need an input for which the {unknowns} unknowns are "
+            "independent, such as excitation.damped_oscillation(walls)"
+            + (
+                " with one more sample outside the walls for the linear term"
+                if linear
+                else ", or a smoothness-regularised fit"
+            )
+        ) from error
+    slope = float(solution[-1]) if linear else 0.0
+    operator = PreisachOperator(checked, solution[:cells], float(solution[cells]), diagonal)
+    return PreisachFit(operator, slope, outputs - matrix @ solution)
+
+
+def _is_damped_oscillation(inputs: Floats, walls: Floats) -> bool:
+    level = walls.size - 1
+    return inputs.size == cell_count(level) + 1 and bool(
+        np.all(np.abs(inputs - damped_oscillation(walls)) <= 1e-12 * (walls[-1] - walls[0]))
+    )
