@@ -1,0 +1,133 @@
+"""`reference`: the set-point on `/vo2/reference`, evaluated at the stamp of each measurement."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from vo2_models.parameters import Parameter
+from vo2_plant_sim.interface.diagnostics import Diagnostics
+from vo2_plant_sim.interface.executable import run_nodes
+from vo2_plant_sim.interface.lockstep import StampOrder
+from vo2_plant_sim.interface.model import model_parameters
+from vo2_plant_sim.interface.parameters import ParameterTable
+from vo2_plant_sim.interface.samples import SampleReader, SampleWriter
+from vo2_plant_sim.interface.topics import (
+    DEFAULT_NAMESPACE,
+    LATCHED_QOS,
+    MEASUREMENT,
+    REFERENCE,
+    REFERENCE_CHANNELS,
+    SAMPLE_QOS,
+)
+
+from vo2_control.references import REFERENCES, Multisine, ReferenceSignal, Steps, read_table, reference_signal
+
+__all__ = ["REFERENCE_PARAMETERS", "ReferenceNode", "main"]
+
+REFERENCE_PARAMETERS = (
+    Parameter(
+        "preset", "integrated", "", "Device preset the default signals belong to.", choices=tuple(REFERENCES)
+    ),
+    Parameter(
+        "signal",
+        "steps",
+        "",
+        "What to follow; set anew, even to the same text, it starts again at the next measurement.",
+        choices=("steps", "sine", "multisine", "csv"),
+    ),
+    Parameter(
+        "steps.levels_m", [], "m", "Levels in turn; empty for the preset's.", -1e-3, 1e-3, kind="float_array"
+    ),
+    Parameter("steps.hold_s", 1.0, "s", "How long each level of steps.levels_m lasts.", 1e-6, 1e6),
+    Parameter("multisine.offset_m", 30e-6, "m", "Mean of the sum of sines.", -1e-3, 1e-3),
+    Parameter(
+        "multisine.amplitudes_m",
+        [],
+        "m",
+        "Amplitudes of the sines; empty for the preset's signal.",
+        -1e-3,
+        1e-3,
+        kind="float_array",
+    ),
+    Parameter(
+        "multisine.frequencies_hz", [], "Hz", "Frequencies of the sines.", 0.0, 1e5, kind="float_array"
+    ),
+    Parameter("multisine.duration_s", 20.0, "s", "How long the sum of sines is meant to last.", 1e-6, 1e9),
+    Parameter("csv.file", "", "", "CSV with the columns time_s and tip_deflection (m), for signal csv."),
+)
+
+
+class ReferenceNode(Node):
+    """Parameters in, measurement stamps in, set-points out."""
+
+    def __init__(self) -> None:
+        super().__init__("reference", namespace=DEFAULT_NAMESPACE)
+        self._table = ParameterTable(
+            self, (*REFERENCE_PARAMETERS, *model_parameters()), read_only=("preset",)
+        )
+        self._diagnostics = Diagnostics(self)
+        self._signal = self._build()
+        self._revision = self._table.revision
+        self._start_ns: int | None = None
+        self._order = StampOrder()
+        self._reader = SampleReader(())
+        self._writer = SampleWriter(REFERENCE_CHANNELS, self._table.text("preset"))
+        self._answer = b""
+        self._publisher = self.create_publisher(JointState, REFERENCE, LATCHED_QOS)
+        self.create_subscription(JointState, MEASUREMENT, self._on_measurement, SAMPLE_QOS, raw=True)
+
+    def _on_measurement(self, data: bytes) -> None:
+        stamp_ns, _ = self._reader.read(data)
+        if self._order.is_repeat(stamp_ns):
+            self._publisher.publish(self._answer)
+            return
+        if self._order.jumped_back(stamp_ns):
+            self._start_ns = None
+        if self._table.revision != self._revision:
+            self._revision = self._table.revision
+            self._rebuild()
+        if self._start_ns is None:
+            self._start_ns = stamp_ns
+        self._order.accept(stamp_ns)
+        value = self._signal.at((stamp_ns - self._start_ns) * 1e-9)
+        self._answer = self._writer.write(stamp_ns, (value,))
+        self._publisher.publish(self._answer)
+
+    def _rebuild(self) -> None:
+        try:
+            self._signal = self._build()
+        except ValueError as error:
+            self._diagnostics.report("signal", "error", f"{error}; the former signal goes on")
+            return
+        self._start_ns = None
+        self._diagnostics.report("signal", "ok", f"follows {self._table.text('signal')}")
+
+    def _build(self) -> ReferenceSignal:
+        table = self._table
+        signal = table.text("signal")
+        if signal == "csv":
+            if not table.text("csv.file"):
+                raise ValueError("csv.file: found no name, need a CSV file for signal csv")
+            return read_table(table.text("csv.file"))
+        if signal == "steps" and table.numbers("steps.levels_m"):
+            return Steps(tuple(table.numbers("steps.levels_m")), table.number("steps.hold_s"))
+        if signal != "steps" and table.numbers("multisine.amplitudes_m"):
+            return Multisine(
+                table.number("multisine.offset_m"),
+                tuple(table.numbers("multisine.amplitudes_m")),
+                tuple(table.numbers("multisine.frequencies_hz")),
+                table.number("multisine.duration_s"),
+            )
+        return reference_signal(table.text("preset"), signal)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM."""
+    return run_nodes(ReferenceNode, args=args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,153 @@
+"""Stamped vectors of named channels: `sensor_msgs/msg/JointState` on the wire, floats in fixed order inside.
+
+A loop exchanges some thousand samples a second, always with the same names. So the names are laid out
+once: writing a sample packs a stamp and a few doubles into a prepared buffer, reading one compares the
+buffer with the layout seen last and unpacks. Any other layout is read by the ordinary message classes.
+"""
+
+from __future__ import annotations
+
+import struct
+from array import array
+from collections.abc import Sequence
+
+from builtin_interfaces.msg import Time
+from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+
+__all__ = ["ClockWriter", "SampleReader", "SampleWriter", "stamp_message", "to_stamp_ns"]
+
+_NAN = float("nan")
+_STAMP = struct.Struct("<iI")
+_STAMP_AT = 4
+_BODY_AT = _STAMP_AT + _STAMP.size
+_ENCAPSULATION = 4
+_LITTLE_ENDIAN = b"\x00\x01"
+_NS = 1_000_000_000
+
+
+def to_stamp_ns(stamp: Time) -> int:
+    """Return a message stamp as whole nanoseconds."""
+    return int(stamp.sec) * _NS + int(stamp.nanosec)
+
+
+def stamp_message(stamp_ns: int) -> Time:
+    """Return whole nanoseconds as a message stamp."""
+    return Time(sec=stamp_ns // _NS, nanosec=stamp_ns % _NS)
+
+
+class SampleWriter:
+    """Writes samples of fixed channels.
+
+    Parameters
+    ----------
+    channels : names in the order of the values
+    device : preset id for `header.frame_id`
+    """
+
+    def __init__(self, channels: Sequence[str], device: str = "") -> None:
+        self.channels = tuple(channels)
+        message = JointState()
+        message.header.frame_id = device
+        message.name = list(self.channels)
+        message.position = array("d", [0.0] * len(self.channels))
+        self._buffer = bytearray(serialize_message(message))
+        self._values = struct.Struct(f"<{len(self.channels)}d")
+        self._values_at = _position_offset(bytes(self._buffer))
+
+    def write(self, stamp_ns: int, values: Sequence[float]) -> bytes:
+        """Return the serialized sample; `values` in the order of the channels, SI units."""
+        _STAMP.pack_into(self._buffer, _STAMP_AT, *divmod(stamp_ns, _NS))
+        self._values.pack_into(self._buffer, self._values_at, *values)
+        return bytes(self._buffer)
+
+
+class ClockWriter:
+    """Writes `rosgraph_msgs/msg/Clock`."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray(serialize_message(Clock()))
+
+    def write(self, stamp_ns: int) -> bytes:
+        """Return the serialized clock."""
+        _STAMP.pack_into(self._buffer, _STAMP_AT, *divmod(stamp_ns, _NS))
+        return bytes(self._buffer)
+
+
+class SampleReader:
+    """Reads samples into fixed channel order; absent channels become NaN, unknown ones are left out.
+
+    Parameters
+    ----------
+    channels : the names wanted, in the order wanted
+    """
+
+    def __init__(self, channels: Sequence[str]) -> None:
+        self.channels = tuple(channels)
+        self.names: tuple[str, ...] = ()
+        self.device = ""
+        self._body = b""
+        self._size = -1
+        self._values = struct.Struct("")
+        self._pick: tuple[int, ...] | None = ()
+
+    def read(self, data: bytes) -> tuple[int, tuple[float, ...]]:
+        """Return (stamp in ns, values in the order of `channels`) of a serialized JointState."""
+        body_end = _BODY_AT + len(self._body)
+        if len(data) != self._size or data[_BODY_AT:body_end] != self._body or data[:2] != _LITTLE_ENDIAN:
+            return self._read_new_layout(data)
+        seconds, nanoseconds = _STAMP.unpack_from(data, _STAMP_AT)
+        values = self._values.unpack_from(data, body_end)
+        if self._pick is not None:
+            values = tuple([values[k] if k >= 0 else _NAN for k in self._pick])
+        return seconds * _NS + nanoseconds, values
+
+    def has(self, channel: str) -> bool:
+        """Whether the last sample carried `channel`."""
+        return channel in self.names
+
+    def _read_new_layout(self, data: bytes) -> tuple[int, tuple[float, ...]]:
+        message = deserialize_message(data, JointState)
+        stamp_ns = to_stamp_ns(message.header.stamp)
+        self.names = tuple(message.name)
+        self.device = message.header.frame_id
+        positions = dict(zip(message.name, message.position, strict=False))
+        plain = len(message.position) == len(message.name) and not message.velocity and not message.effort
+        if plain and data[:2] == _LITTLE_ENDIAN and len(set(self.names)) == len(self.names):
+            offset = _position_offset(data)
+            self._body = bytes(data[_BODY_AT:offset])
+            self._size = len(data)
+            self._values = struct.Struct(f"<{len(self.names)}d")
+            pick = tuple(self.names.index(name) if name in self.names else -1 for name in self.channels)
+            self._pick = None if pick == tuple(range(len(self.names))) else pick
+        return stamp_ns, tuple(float(positions.get(name, _NAN)) for name in self.channels)
+
+
+def _position_offset(data: bytes) -> int:
+    """Return where the doubles of `position` begin in a little-endian serialized JointState.
+
+    The common data representation aligns every member to its own size, counted from the end of the
+    four-byte encapsulation header.
+    """
+    at = _BODY_AT
+    at = _skip_string(data, at)
+    count, at = _read_count(data, at)
+    for _ in range(count):
+        at = _skip_string(data, at)
+    count, at = _read_count(data, at)
+    return _align(at, 8) if count else at
+
+
+def _align(at: int, size: int) -> int:
+    return _ENCAPSULATION + -(-(at - _ENCAPSULATION) // size) * size
+
+
+def _read_count(data: bytes, at: int) -> tuple[int, int]:
+    at = _align(at, 4)
+    return int.from_bytes(data[at : at + 4], "little"), at + 4
+
+
+def _skip_string(data: bytes, at: int) -> int:
+    length, at = _read_count(data, at)
+    return at + length

@@ -1,0 +1,50 @@
+"""Topic names, channel names and quality of service, as recordings and clients rely on them."""
+
+from __future__ import annotations
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+__all__ = [
+    "CLOCK",
+    "COMMAND",
+    "COMMAND_CHANNELS",
+    "DEFAULT_NAMESPACE",
+    "DIAGNOSTICS",
+    "ESTIMATE",
+    "ESTIMATE_CHANNELS",
+    "LATCHED_QOS",
+    "MEASUREMENT",
+    "REFERENCE",
+    "REFERENCE_CHANNELS",
+    "SAFE_CURRENT_A",
+    "SAMPLE_QOS",
+]
+
+DEFAULT_NAMESPACE = "/vo2"
+
+# Relative, so that a namespace moves a whole loop.
+COMMAND = "command"
+MEASUREMENT = "measurement"
+ESTIMATE = "estimate"
+REFERENCE = "reference"
+DIAGNOSTICS = "/diagnostics"
+CLOCK = "/clock"
+
+COMMAND_CHANNELS = ("heater_current",)
+ESTIMATE_CHANNELS = ("tip_deflection", "temperature_surrogate", "tip_deflection_bound")
+REFERENCE_CHANNELS = ("tip_deflection",)
+
+SAFE_CURRENT_A = 0.0
+
+SAMPLE_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=100,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+LATCHED_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=100,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)

@@ -1,0 +1,213 @@
+"""`plant`: the simulated device under test on the graph.
+
+In lockstep a command answers the measurement whose stamp it carries; the plant applies it, advances one
+sample and publishes the next measurement, as fast as the loop answers. In wall time the plant keeps the
+pace, applies the newest command, and takes the safe current when commands stop.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Sequence
+
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from vo2_models.parameters import Parameter
+
+from vo2_plant_sim.interface.diagnostics import Diagnostics
+from vo2_plant_sim.interface.executable import run_nodes
+from vo2_plant_sim.interface.lockstep import HOLD_SAMPLES, REPEAT_S
+from vo2_plant_sim.interface.model import PRESETS, model_parameters
+from vo2_plant_sim.interface.parameters import ParameterTable
+from vo2_plant_sim.interface.samples import ClockWriter, SampleReader, SampleWriter
+from vo2_plant_sim.interface.topics import (
+    CLOCK,
+    COMMAND,
+    COMMAND_CHANNELS,
+    DEFAULT_NAMESPACE,
+    MEASUREMENT,
+    SAFE_CURRENT_A,
+    SAMPLE_QOS,
+)
+from vo2_plant_sim.simulated_device import SIMULATED_DEVICE_PARAMETERS, TRUE_CHANNELS, simulated_device
+
+__all__ = ["PLANT_PARAMETERS", "PlantNode", "main"]
+
+PLANT_PARAMETERS = (
+    Parameter("preset", "integrated", "", "Device preset.", choices=PRESETS),
+    Parameter(
+        "time", "lockstep", "", "Simulated time in lockstep, or wall time.", choices=("lockstep", "wall")
+    ),
+    Parameter("rate_hz", 0.0, "Hz", "Sampling rate; 0 for the preset's.", 0.0, 20e3),
+    Parameter(
+        "run_until_s",
+        0.0,
+        "s",
+        "Lockstep: simulated time stands still from this stamp on until the value is raised; 0 for never.",
+        0.0,
+        1e9,
+    ),
+    Parameter("clock", True, "", "Lockstep: publish simulated time on /clock, at most every 10 ms of it."),
+    Parameter(
+        "true_channels", False, "", "Add what no rig measures: true_tip_deflection and true_temperature."
+    ),
+)
+_START_NS = 1_000_000_000
+"""Stamp of the first simulated sample: zero means "no time" in ROS."""
+_CLOCK_NS = 10_000_000
+_BEAT_NS = 1_000_000_000
+
+
+class PlantNode(Node):
+    """Parameters in, commands in, one step of the device, measurements out."""
+
+    def __init__(self) -> None:
+        super().__init__("plant", namespace=DEFAULT_NAMESPACE)
+        records = (*PLANT_PARAMETERS, *SIMULATED_DEVICE_PARAMETERS, *model_parameters())
+        fixed = [record.name for record in (*PLANT_PARAMETERS, *SIMULATED_DEVICE_PARAMETERS)]
+        fixed.remove("run_until_s")
+        self._table = ParameterTable(self, records, read_only=fixed)
+        preset = self._table.text("preset")
+        self._device = simulated_device(preset, self._table.number("rate_hz"), self._table)
+        self._period_ns = round(self._device.period * 1e9)
+        self._lockstep = self._table.text("time") == "lockstep"
+        self._truth = self._table.flag("true_channels")
+        self._diagnostics = Diagnostics(self, hardware_id=preset)
+        self._until_ns = 0
+        self._revision = -1
+        self._index = -1
+        self._start_ns = _START_NS
+        self._stamp_ns = self._start_ns
+        self._command: tuple[int, float] | None = None
+        self._since_command = 0
+        self._missed_periods = 0
+        self._used_a = SAFE_CURRENT_A
+        self._clock_every = max(1, _CLOCK_NS // self._period_ns)
+        self._beat_every = max(1, _BEAT_NS // self._period_ns)
+        names = (*self._device.channels, *TRUE_CHANNELS) if self._truth else self._device.channels
+        self._writer = SampleWriter(names, preset)
+        self._clock_writer = ClockWriter()
+        self._reader = SampleReader(COMMAND_CHANNELS)
+        self._answer = b""
+        self._publisher = self.create_publisher(JointState, MEASUREMENT, SAMPLE_QOS)
+        self._clock_out = None
+        if self._lockstep and self._table.flag("clock"):
+            self._clock_out = self.create_publisher(Clock, CLOCK, SAMPLE_QOS)
+        self.create_subscription(JointState, COMMAND, self._on_command, SAMPLE_QOS, raw=True)
+        self._published_at = time.monotonic()
+        if self._lockstep:
+            self._advance(SAFE_CURRENT_A)
+            self._publish()
+            self.create_timer(REPEAT_S / 4.0, self._on_quiet)
+        else:
+            self._pace_from = 0.0
+            self.create_timer(self._device.period, self._on_tick)
+
+    def _on_command(self, data: bytes) -> None:
+        stamp_ns, (current,) = self._reader.read(data)
+        if not math.isfinite(current):
+            self._diagnostics.report(
+                "command",
+                "error",
+                f"heater_current on {COMMAND} is {current}; the safe current {SAFE_CURRENT_A:g} A is applied instead",
+                stamp_ns=self._stamp_ns,
+            )
+            current = SAFE_CURRENT_A
+        if not self._lockstep:
+            self._command = (stamp_ns, current)
+            self._since_command = 0
+            return
+        if stamp_ns == self._stamp_ns and self._command is None:
+            self._command = (stamp_ns, current)
+            self._answer_lockstep()
+        elif stamp_ns > self._stamp_ns:
+            self._diagnostics.report(
+                "command",
+                "warn",
+                f"a command is stamped {(stamp_ns - self._stamp_ns) * 1e-9:g} s ahead of the measurement and is dropped; "
+                "a command must carry the stamp of the measurement that it answers",
+                stamp_ns=self._stamp_ns,
+            )
+        elif stamp_ns == self._stamp_ns - self._period_ns and current != self._used_a:
+            self._diagnostics.report(
+                "command",
+                "warn",
+                f"two different commands for one measurement: let only one node command on {COMMAND}",
+                stamp_ns=self._stamp_ns,
+            )
+
+    def _answer_lockstep(self) -> None:
+        """Advance one sample with the command at hand, unless simulated time is to stand still."""
+        if self._table.revision != self._revision:
+            self._revision = self._table.revision
+            self._until_ns = round(self._table.number("run_until_s") * 1e9)
+        if self._command is None or 0 < self._until_ns <= self._stamp_ns:
+            return
+        current = self._command[1]
+        self._command = None
+        self._advance(current)
+        self._publish()
+
+    def _on_quiet(self) -> None:
+        """Lockstep, by wall time: take up a raised run_until_s, repeat a sample that nobody answered."""
+        self._answer_lockstep()
+        if time.monotonic() - self._published_at >= REPEAT_S:
+            self._publish()
+
+    def _on_tick(self) -> None:
+        """Wall time: keep the pace, whoever answers."""
+        if self._index < 0:
+            # a quarter period after each due time, so that a timer that jitters still meets its own period
+            self._start_ns = time.time_ns()
+            self._pace_from = time.monotonic() - 0.25 * self._device.period
+        due = int((time.monotonic() - self._pace_from) / self._device.period)
+        behind = due - self._index - 1
+        if behind < 0:
+            return
+        if behind > 0:
+            self._missed_periods += behind
+        for _ in range(min(behind + 1, round(1e9 / self._period_ns) + 1)):
+            self._since_command += 1
+            if self._since_command > HOLD_SAMPLES + 1 and self._command is not None:
+                self._diagnostics.report(
+                    "command",
+                    "error",
+                    f"no command for {HOLD_SAMPLES} periods: safe current {SAFE_CURRENT_A:g} A",
+                )
+                self._command = None
+            elif self._command is not None and self._since_command <= 1:
+                self._diagnostics.report("command", "ok", "commands arrive")
+            self._advance(SAFE_CURRENT_A if self._command is None else self._command[1])
+        self._index = max(self._index, due)
+        self._stamp_ns = self._start_ns + self._index * self._period_ns
+        self._publish()
+        if self._index % self._beat_every == 0:
+            self._diagnostics.report("pace", "ok", "wall time", {"missed_periods": self._missed_periods})
+
+    def _advance(self, current_a: float) -> None:
+        values = self._device.step(current_a)
+        self._used_a = current_a
+        self._index += 1
+        self._stamp_ns = self._start_ns + self._index * self._period_ns
+        true = self._device.true_values() if self._truth else ()
+        self._answer = self._writer.write(self._stamp_ns, (*values, *true))
+        if self._lockstep and self._index % self._beat_every == 0:
+            self._diagnostics.beat(self._stamp_ns)
+
+    def _publish(self) -> None:
+        if self._clock_out is not None and self._index % self._clock_every == 0:
+            self._clock_out.publish(self._clock_writer.write(self._stamp_ns))
+        self._publisher.publish(self._answer)
+        self._published_at = time.monotonic()
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM."""
+    return run_nodes(PlantNode, args=args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

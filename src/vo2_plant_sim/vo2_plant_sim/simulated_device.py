@@ -1,0 +1,105 @@
+"""Which device the plant steps: the ground truth with its concealed effects, or the simulation of a model file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import yaml
+from numpy.typing import NDArray
+from vo2_models.device.truth import truth
+from vo2_models.parameters import Parameter
+
+from vo2_plant_sim.interface.parameters import ParameterTable
+
+__all__ = ["SIMULATED_DEVICE_PARAMETERS", "TRUE_CHANNELS", "SimulatedDevice", "simulated_device"]
+
+TRUE_CHANNELS = ("true_tip_deflection", "true_temperature")
+"""What no rig measures: deflection before its sensor [m], film temperature [degC]."""
+
+SIMULATED_DEVICE_PARAMETERS = (
+    Parameter("seed", 1, "1", "Seed of this device's domains and of its sensor noise.", 0, 2**31 - 1),
+    Parameter(
+        "source", "truth", "", "Step the ground truth, or what model.* describes.", choices=("truth", "model")
+    ),
+    Parameter(
+        "effects",
+        "",
+        "",
+        'Physics beyond the nominal device, as YAML: "{creep: {creep: 0.05}}"; empty for none.',
+    ),
+    Parameter("noise", True, "", "Whether the sensors are noisy."),
+)
+
+
+class _Stepper(Protocol):
+    period: float
+    channels: tuple[str, ...]
+
+    def step(self, current: float) -> NDArray[Any]: ...
+
+    @property
+    def true_deflection(self) -> float: ...
+
+    @property
+    def temperature(self) -> float: ...
+
+
+class SimulatedDevice:
+    """One current in, one sample of every channel out.
+
+    Attributes
+    ----------
+    period : sample period [s]
+    channels : names of the measured channels, in the order of the values
+    """
+
+    def __init__(self, stepper: _Stepper) -> None:
+        self._stepper = stepper
+        self.period = stepper.period
+        self.channels = stepper.channels
+
+    def step(self, current_a: float) -> list[float]:
+        """Apply `current_a` [A] for one period; return the measured channels."""
+        values: list[float] = self._stepper.step(current_a).tolist()
+        return values
+
+    def true_values(self) -> tuple[float, float]:
+        """Return `TRUE_CHANNELS` of the last sample."""
+        return self._stepper.true_deflection, self._stepper.temperature
+
+
+def simulated_device(preset: str, rate_hz: float, parameters: ParameterTable) -> SimulatedDevice:
+    """Return the device that the parameters describe.
+
+    Raises
+    ------
+    ValueError : unknown effect, value out of range, or no model where one is asked for.
+    """
+    period = 1.0 / rate_hz if rate_hz else None
+    seed = int(parameters.number("seed"))
+    noise = parameters.flag("noise")
+    effects = _effects(parameters.text("effects"))
+    if parameters.text("source") == "model":
+        from vo2_models.device.model import DeviceModel
+
+        given = parameters.given("model.")
+        if not given:
+            raise ValueError(
+                "source: found model, need model.* parameters; load a file that fit wrote (--params-file)"
+            )
+        model = DeviceModel.from_parameters(given)
+        return SimulatedDevice(model.simulation(effects).stepper(dt=period, seed=seed, noise=noise))
+    device = truth(preset, seed=seed, effects=effects)
+    # the noise has a stream of its own: the device must not change with it
+    return SimulatedDevice(device.stepper(dt=period, seed=seed + 1, noise=noise))
+
+
+def _effects(text: str) -> Mapping[str, Mapping[str, float | str]]:
+    try:
+        found = yaml.safe_load(text) if text.strip() else {}
+    except yaml.YAMLError as error:
+        raise ValueError(f"effects: {text!r} is not YAML ({' '.join(str(error).split())})") from error
+    if not isinstance(found, dict) or not all(isinstance(values, dict) for values in found.values()):
+        raise ValueError(f'effects: found {text!r}, need a mapping such as "{{creep: {{creep: 0.05}}}}"')
+    return found
