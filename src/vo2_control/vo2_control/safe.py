@@ -1,0 +1,166 @@
+"""The safe current: when a loop may hold, when it must let go, and how it comes back.
+
+Plain logic around a `Controller`; the node feeds it samples and clock ticks and publishes what it decides.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from vo2_models.validation import positive_number
+
+from vo2_control.controller import Controller
+
+__all__ = ["Decision", "SafetySettings", "Supervisor"]
+
+Mode = Literal["idle", "tracking", "limited", "holding", "safe"]
+
+
+@dataclass(frozen=True)
+class SafetySettings:
+    """What counts as trustworthy input.
+
+    Attributes
+    ----------
+    sample_period_s : [s]
+    safe_current_a : where the loop goes when it may not go on [A]
+    hold_periods : sample periods for which the last current is held without good input
+    reach_m : lowest and highest deflection that the device reaches [m]; references are clipped to it
+    resistance_ohm : plausible range; at or beyond an end the sensor is saturated
+    stuck_samples : identical resistances in a row that mean a stuck sensor, once the current has moved meanwhile;
+        add the dead time in samples, during which an ideal sensor rightly stands still
+    stuck_current_a : how far the current must have moved in that time [A]
+    """
+
+    sample_period_s: float
+    safe_current_a: float = 0.0
+    hold_periods: int = 3
+    reach_m: tuple[float, float] = (-math.inf, math.inf)
+    resistance_ohm: tuple[float, float] = (0.0, math.inf)
+    stuck_samples: int = 3
+    stuck_current_a: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive_number(self.sample_period_s, "sample_period_s")
+        if not math.isfinite(self.safe_current_a):
+            raise ValueError(f"safe_current_a: found {self.safe_current_a}, need a finite current")
+        if self.hold_periods < 0 or self.stuck_samples < 2:
+            raise ValueError(
+                f"hold_periods, stuck_samples: found {self.hold_periods}, {self.stuck_samples}, need at least 0 and 2"
+            )
+        for name in ("reach_m", "resistance_ohm"):
+            low, high = getattr(self, name)
+            if not low < high:
+                raise ValueError(f"{name}: found {low:g} to {high:g}, need lowest below highest")
+
+
+@dataclass(frozen=True)
+class Decision:
+    """A current [A] to publish, the mode of the loop, and why it is not plain tracking (else empty)."""
+
+    current_a: float
+    mode: Mode
+    reason: str = ""
+
+
+class Supervisor:
+    """Runs a controller on good samples; holds, then goes to the safe current, on anything else.
+
+    `sample` is called with every estimate, `silence` by a clock at least every sample period. Neither raises on
+    bad values: a loop under current must always get an answer.
+    """
+
+    def __init__(self, controller: Controller, settings: SafetySettings) -> None:
+        self.settings = settings
+        self._controller = controller
+        self._current = settings.safe_current_a
+        self._last_good_s = -math.inf
+        self._mode: Mode = "idle"
+        self._reason = "no estimate has arrived yet"
+        self._repeats = 0
+        self._repeated_ohm = math.nan
+        self._span = (math.inf, -math.inf)
+
+    @property
+    def current_a(self) -> float:
+        """The current decided last [A]."""
+        return self._current
+
+    @property
+    def mode(self) -> Mode:
+        return self._mode
+
+    def replace_controller(self, controller: Controller, reference_m: float, estimate_m: float) -> None:
+        """Hand over to another controller (a redesign) from the present current, without a bump."""
+        if math.isfinite(reference_m) and math.isfinite(estimate_m):
+            controller.reset(self._current, reference_m, estimate_m)
+        self._controller = controller
+
+    def sample(
+        self, time_s: float, reference_m: float, estimate_m: float, resistance_ohm: float | None = None
+    ) -> Decision:
+        """Answer one sample taken at `time_s` [s]; `resistance_ohm` lets the sensor be checked where it is known."""
+        fault = self._fault(reference_m, estimate_m, resistance_ohm)
+        if fault:
+            return self._without_input(time_s, fault)
+        low, high = self.settings.reach_m
+        reference = min(max(reference_m, low), high)
+        if self._mode in ("idle", "safe"):
+            self._controller.reset(self._current, reference, estimate_m)
+        self._current = self._controller.update(reference, estimate_m)
+        self._last_good_s = time_s
+        self._mode, self._reason = "tracking", ""
+        if reference != reference_m:
+            self._mode = "limited"
+            self._reason = (
+                f"reference of {1e6 * reference_m:.2f} um is outside the reachable {1e6 * low:.2f} to "
+                f"{1e6 * high:.2f} um: clipped"
+            )
+        return Decision(self._current, self._mode, self._reason)
+
+    def silence(self, time_s: float) -> Decision:
+        """Answer a clock tick: nothing to do while samples are in time, else hold, else the safe current."""
+        late = time_s - self._last_good_s
+        if self._mode == "idle" or late <= 1.5 * self.settings.sample_period_s:
+            return Decision(self._current, self._mode, self._reason)
+        if self._mode in ("holding", "safe") and self._reason:
+            return self._without_input(time_s, self._reason.split(":")[0])
+        return self._without_input(time_s, "no estimate arrives")
+
+    def _without_input(self, time_s: float, fault: str) -> Decision:
+        period, limit = self.settings.sample_period_s, self.settings.hold_periods
+        # half a period of slack, so that jitter of the clock does not cost a sample
+        if self._mode not in ("idle", "safe") and time_s - self._last_good_s <= (limit + 0.5) * period:
+            self._mode = "holding"
+            self._reason = f"{fault}: holding {self._current:.6g} A for at most {limit} samples"
+        else:
+            self._current = self.settings.safe_current_a
+            self._mode = "safe"
+            self._reason = f"{fault}: safe current {self._current:.6g} A"
+        return Decision(self._current, self._mode, self._reason)
+
+    def _fault(self, reference_m: float, estimate_m: float, resistance_ohm: float | None) -> str:
+        if not math.isfinite(estimate_m):
+            return f"estimate is {estimate_m}"
+        if not math.isfinite(reference_m):
+            return f"reference is {reference_m}"
+        if resistance_ohm is None:
+            return ""
+        low, high = self.settings.resistance_ohm
+        if not low < resistance_ohm < high:
+            return f"resistance sensor saturated at {resistance_ohm:.4g} ohm, outside {low:.4g} to {high:.4g} ohm"
+        return self._stuck(resistance_ohm)
+
+    def _stuck(self, resistance_ohm: float) -> str:
+        if resistance_ohm != self._repeated_ohm:
+            self._repeated_ohm, self._repeats = resistance_ohm, 1
+            self._span = (self._current, self._current)
+            return ""
+        self._repeats += 1
+        self._span = (min(self._span[0], self._current), max(self._span[1], self._current))
+        moved = self._span[1] - self._span[0] > self.settings.stuck_current_a
+        if self._repeats > self.settings.stuck_samples and moved:
+            return f"resistance sensor stuck at {resistance_ohm:.6g} ohm for {self._repeats} samples"
+        return ""
