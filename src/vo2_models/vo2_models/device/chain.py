@@ -1,0 +1,181 @@
+"""Compiled chain: driver, core, structure and sensors of one device, sample by sample.
+
+One loop serves the batch and the stream: a stream is a batch of one sample at a time on the same state.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from vo2_models.device.coefficients import PER_CHANNEL
+from vo2_models.device.coefficients import Coefficient as C
+from vo2_models.device.coefficients import Sensor as N
+from vo2_models.device.core import ENSEMBLE, advance, fraction_of, initial_transitions
+from vo2_models.device.laws import polynomial, truth_deflection, truth_resistance
+from vo2_models.device.state import Slot as S
+
+__all__ = ["COLUMNS", "run_chain"]
+
+COLUMNS = 9
+"""Columns of the output: the four sensor channels, then true deflection [m], film temperature [degC], true
+resistance [ohm], and the two transition outputs."""
+_SENSORS = len(C)
+
+
+@njit(cache=True, error_model="numpy")
+def _driver(c, x, command, period):
+    """Source: its range, then saturation, dead zone and slew rate."""
+    i = min(max(command, c[C.RANGE_LOW]), c[C.RANGE_HIGH])
+    i = min(max(i, -c[C.SATURATION]), c[C.SATURATION])
+    width = c[C.DEADZONE]
+    if width > 0.0:
+        i = math.copysign(max(abs(i) - width, 0.0), i)
+    most = c[C.SLEW] * period
+    i = min(max(i, x[S.CURRENT] - most), x[S.CURRENT] + most)
+    x[S.CURRENT] = i
+    return i
+
+
+@njit(cache=True, error_model="numpy")
+def _film_resistance(kind, c, x, poly_r):
+    if kind == ENSEMBLE:
+        return truth_resistance(c, x[S.FILM], x[S.OUT_R])
+    return 10.0 ** -(x[S.OUT_R] + polynomial(poly_r, x[S.FILM]))
+
+
+@njit(cache=True, error_model="numpy")
+def _film_deflection(kind, c, x, poly_d):
+    value = x[S.OUT_D] + polynomial(poly_d, x[S.FILM])
+    if kind == ENSEMBLE:
+        value = truth_deflection(c, x[S.FILM], x[S.OUT_D])
+    if c[C.HOT_EXPANSION] != 0.0:
+        value -= c[C.HOT_EXPANSION] * fraction_of(kind, 1, x[S.OUT_D], c) * (x[S.FILM] - c[C.AMBIENT])
+    return value
+
+
+@njit(cache=True, error_model="numpy")
+def _terminal_resistance(c, x, film, current):
+    """What the two terminals show: leakage beside the film, leads in series, and crosstalk of the heater."""
+    value = film
+    if c[C.LEAKAGE] != 0.0:
+        value = value / (1.0 + c[C.LEAKAGE] * value)
+    return value + c[C.SERIES] + c[C.CROSSTALK] * current
+
+
+@njit(cache=True, error_model="numpy")
+def _structure(c, x, mode, deflection, period):
+    """Creep and one lightly damped mode, both with unit gain at rest; `mode` (2, 4) is the mode's exact step."""
+    value = deflection
+    if c[C.CREEP] != 0.0:
+        x[S.CREPT] += -math.expm1(-period / c[C.CREEP_TIME]) * (deflection - x[S.CREPT])
+        value += c[C.CREEP] * (x[S.CREPT] - deflection)
+    if c[C.MODE_SHARE] != 0.0:
+        z, r, last = x[S.MODE], x[S.MODE_RATE], x[S.MODE_INPUT]
+        x[S.MODE] = mode[0, 0] * z + mode[0, 1] * r + mode[0, 2] * last + mode[0, 3] * value
+        x[S.MODE_RATE] = mode[1, 0] * z + mode[1, 1] * r + mode[1, 2] * last + mode[1, 3] * value
+        x[S.MODE_INPUT] = value
+        value += c[C.MODE_SHARE] * (x[S.MODE] - value)
+    return value
+
+
+@njit(cache=True, error_model="numpy")
+def _sense(c, at, value, normal, time, period, sample, memory, line):
+    """One sensor: lag, late clock, drifting gain, noise, quantisation, saturation."""
+    out = value
+    if c[at + N.LAG] > 0.0:
+        memory[0] += -math.expm1(-period / c[at + N.LAG]) * (out - memory[0])
+        out = memory[0]
+    if c[at + N.CLOCK] > 0.0:
+        line[sample % line.size] = out
+        late = c[at + N.CLOCK] / period
+        whole = int(late)
+        part = late - whole
+        newer = line[(sample - whole) % line.size]
+        older = line[(sample - whole - 1) % line.size]
+        out = newer + part * (older - newer)
+    out *= 1.0 + c[at + N.DRIFT] * time
+    if c[at + N.NOISE] != 0.0 or c[at + N.NOISE_RELATIVE] != 0.0:
+        colour = c[at + N.COLOUR]
+        memory[1] = colour * memory[1] + math.sqrt(1.0 - colour * colour) * normal
+        out += memory[1] * (c[at + N.NOISE] + c[at + N.NOISE_RELATIVE] * abs(out))
+    if c[at + N.STEP] > 0.0:
+        out = np.rint(out / c[at + N.STEP]) * c[at + N.STEP]
+    return min(max(out, c[at + N.LOW]), c[at + N.HIGH])
+
+
+@njit(cache=True, error_model="numpy")
+def run_chain(
+    kind, c, mode, packed_r, packed_d, poly_r, poly_d, levels, domains,
+    x, play_r, play_d, metallic, line, sensors, sensor_lines,
+    command, normals, out,
+):  # fmt: skip
+    """Run the chain over `command` (n,) [A] and fill `out` (n, COLUMNS); all memories are updated in place.
+
+    `kind` : PLAYS or ENSEMBLE; `c` : coefficients; `mode` : (2, 4) exact step of the structural mode;
+    `packed_*`, `poly_*` : play banks and polynomials; `levels`, `domains` : (2, 2, n) sorted populations;
+    `normals` : (n, 4) standard normal numbers.
+    """
+    period = c[C.SAMPLE_PERIOD]
+    parts = max(int(c[C.SUBSTEPS]), 1)
+    scratch = np.empty(max(play_r.size, play_d.size))
+    if x[S.STARTED] == 0.0:
+        x[S.STARTED] = 1.0
+        initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic)
+        x[S.RESISTANCE] = _film_resistance(kind, c, x, poly_r)
+        rest = _film_deflection(kind, c, x, poly_d)
+        x[S.CREPT] = rest
+        x[S.MODE] = rest
+        x[S.MODE_INPUT] = rest
+        sensors[1, 0] = _terminal_resistance(c, x, x[S.RESISTANCE], 0.0)
+        sensors[2, 0] = rest
+        sensors[3, 0] = x[S.STAGE]
+        for channel in range(4):
+            sensor_lines[channel, :] = sensors[channel, 0]
+    whole = int(c[C.DEAD_TIME] / period)
+    part = c[C.DEAD_TIME] - whole * period
+    for k in range(command.size):
+        sample = int(x[S.SAMPLE])
+        time = sample * period
+        current = _driver(c, x, command[k], period)
+        line[sample % line.size] = current
+        now = line[(sample - whole) % line.size]
+        # --- the held input may change inside the interval, where the dead time is no whole number of samples
+        if part > 0.0:
+            earlier = line[(sample - whole - 1) % line.size]
+            h = part / parts
+            for j in range(parts):
+                advance(
+                    kind, c, x, earlier, h, packed_r, packed_d, play_r, play_d, scratch, levels, domains,
+                    metallic, time - period + j * h,
+                )  # fmt: skip
+                if c[C.SENSE] != 0.0 or c[C.SENSE_FILM] != 0.0:
+                    x[S.RESISTANCE] = _film_resistance(kind, c, x, poly_r)
+        h = (period - part) / parts
+        for j in range(parts):
+            advance(
+                kind, c, x, now, h, packed_r, packed_d, play_r, play_d, scratch, levels, domains,
+                metallic, time - period + part + j * h,
+            )  # fmt: skip
+            if c[C.SENSE] != 0.0 or c[C.SENSE_FILM] != 0.0:
+                x[S.RESISTANCE] = _film_resistance(kind, c, x, poly_r)
+        film = _film_resistance(kind, c, x, poly_r)
+        x[S.RESISTANCE] = film
+        tip = _structure(c, x, mode, _film_deflection(kind, c, x, poly_d), period)
+        out[k, 0] = current
+        out[k, 1] = _terminal_resistance(c, x, film, current)
+        out[k, 2] = tip
+        out[k, 3] = x[S.STAGE]
+        for channel in range(4):
+            out[k, channel] = _sense(
+                c, _SENSORS + channel * PER_CHANNEL, out[k, channel], normals[k, channel], time, period,
+                sample, sensors[channel], sensor_lines[channel],
+            )  # fmt: skip
+        out[k, 4] = tip
+        out[k, 5] = x[S.FILM]
+        out[k, 6] = film
+        out[k, 7] = x[S.OUT_R]
+        out[k, 8] = x[S.OUT_D]
+        x[S.SAMPLE] += 1.0

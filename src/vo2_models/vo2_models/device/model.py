@@ -1,0 +1,290 @@
+"""The fitted simulation of a device: what `fit` writes and plant, estimator, controller and diagnosis load."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vo2_models.device.bank import PlayBank, bank_parameters
+from vo2_models.device.coefficients import CHANNELS, Coefficient, Sensor, sensor_index
+from vo2_models.device.presets import PRESETS, preset
+from vo2_models.device.simulation import PLAYS, Simulation, nominal_coefficients
+from vo2_models.device.stepper import Stepper
+from vo2_models.effects import effects as catalogue
+from vo2_models.model_file import load_model_parameters, save_model_parameters
+from vo2_models.parameters import Parameter, Value
+from vo2_models.recording import RESISTANCE, Recording
+
+__all__ = ["PARAMETERS", "DeviceModel", "SensorModel", "fitted_names"]
+
+SCALARS = {
+    "driver.dead_time": ("s", "dead time between current and heat", 0.0, 1e3),
+    "thermal.ambient": ("degC", "temperature without current", -50.0, 150.0),
+    "thermal.linear_gain": ("K/A", "steady temperature rise per current", -1e4, 1e4),
+    "thermal.square_gain": ("K/A^2", "steady temperature rise per squared current", 0.0, 1e9),
+    "thermal.time_constant": ("s", "thermal time constant", 1e-6, 1e6),
+}
+"""Scalar parameters of the sections driver and thermal: unit, meaning, range. `model.` goes before."""
+_COEFFICIENT = {
+    "driver.dead_time": Coefficient.DEAD_TIME,
+    "thermal.ambient": Coefficient.AMBIENT,
+    "thermal.linear_gain": Coefficient.LINEAR_GAIN,
+    "thermal.square_gain": Coefficient.SQUARE_GAIN,
+    "thermal.time_constant": Coefficient.TIME_CONSTANT,
+}
+_BANKS = ("resistance", "deflection")
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """Noise of one channel and what the fit leaves over.
+
+    Attributes
+    ----------
+    noise : standard deviation of the sensor's noise: relative for the resistance, else in the channel's unit
+    colour : (p,) autoregressive coefficients of the noise, empty for white
+    residual : root mean square of the fit's residual (resistance: in log10 ohm), noise included
+    residual_colour : (q,) autoregressive coefficients of the residual
+    """
+
+    noise: float = 0.0
+    colour: tuple[float, ...] = ()
+    residual: float = 0.0
+    residual_colour: tuple[float, ...] = ()
+
+
+def _scalar_parameters() -> tuple[Parameter, ...]:
+    return tuple(
+        Parameter(f"model.{name}", 0.0 if low <= 0.0 else 1.0, unit, text, low, high)
+        for name, (unit, text, low, high) in SCALARS.items()
+    )
+
+
+def _sensor_parameters() -> tuple[Parameter, ...]:
+    found = []
+    for channel in CHANNELS:
+        unit = "1" if channel == RESISTANCE else "channel unit"
+        spread = "log10 ohm" if channel == RESISTANCE else "channel unit"
+        head = f"model.sensors.{channel}"
+        found += [
+            Parameter(f"{head}.noise", 0.0, unit, f"standard deviation of the noise of {channel}", 0.0),
+            Parameter(
+                f"{head}.colour", [], "1", f"autoregressive noise coefficients of {channel}", kind="float_array"
+            ),
+            Parameter(f"{head}.residual", 0.0, spread, f"residual of the fit in {channel}, root mean square", 0.0),
+            Parameter(
+                f"{head}.residual_colour", [], "1", f"autoregressive coefficients of the residual of {channel}",
+                kind="float_array",
+            ),
+        ]  # fmt: skip
+    return tuple(found)
+
+
+def _effect_parameters() -> tuple[Parameter, ...]:
+    found = []
+    for record in catalogue().values():
+        for head in (
+            [f"{record.id}.{channel}" for channel in record.channels] if record.signal else [record.id]
+        ):
+            found += [replace(p, name=f"model.effects.{head}.{p.name}") for p in record.parameters]
+    return tuple(found)
+
+
+def fitted_names() -> tuple[str, ...]:
+    """Names (without `model.`) that can have an uncertainty: scalars and the arrays of both banks."""
+    banks = [
+        p.name.removeprefix("model.")
+        for section in _BANKS
+        for p in bank_parameters(f"model.{section}", "", "")
+    ]
+    return (*SCALARS, *banks)
+
+
+PARAMETERS: tuple[Parameter, ...] = (
+    Parameter(
+        "model.device", "", "", "preset the model belongs to; empty without model", choices=("", *PRESETS)
+    ),
+    *_scalar_parameters(),
+    *bank_parameters("model.resistance", "-log10 of the film resistance", "log10 ohm"),
+    *bank_parameters("model.deflection", "the tip deflection", "m"),
+    *_sensor_parameters(),
+    *_effect_parameters(),
+    *(
+        Parameter(
+            f"model.uncertainty.{name}", [], "as the parameter", f"standard deviations of {name}", 0.0, kind="float_array"
+        )
+        for name in fitted_names()
+    ),
+)  # fmt: skip
+"""Every parameter of a model file that this section owns, for nodes to declare."""
+
+
+@dataclass(frozen=True)
+class DeviceModel:
+    """Complete fitted simulation of one device.
+
+    Attributes
+    ----------
+    device : preset id
+    scalars : values of `SCALARS`, in their units; absent ones are the preset's
+    resistance : law of -log10(R / ohm) over the film temperature
+    deflection : law of the tip deflection [m]; empty where the recording had none
+    sensors : channel -> `SensorModel`
+    effects : `{id: {parameter: value}}`, for a signal effect `{"id:channel": {..., "signal": channel}}`
+    uncertainty : name (without `model.`) -> standard deviations
+
+    Raises
+    ------
+    ValueError : unknown device, parameter, channel or effect, or a value out of range.
+    """
+
+    device: str
+    scalars: Mapping[str, float] = field(default_factory=dict)
+    resistance: PlayBank = field(default_factory=PlayBank)
+    deflection: PlayBank = field(default_factory=PlayBank)
+    sensors: Mapping[str, SensorModel] = field(default_factory=dict)
+    effects: Mapping[str, Mapping[str, float | str]] = field(default_factory=dict)
+    uncertainty: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        nominal = nominal_coefficients(preset(self.device))
+        complete = {}
+        known = {p.name.removeprefix("model."): p for p in _scalar_parameters()}
+        for name in self.scalars:
+            if name not in known:
+                raise ValueError(f"model.{name}: is no parameter; need one of {', '.join(known)}")
+        for name, parameter in known.items():
+            value = float(self.scalars.get(name, nominal[_COEFFICIENT[name]]))
+            complete[name] = float(parameter.check(value))  # type: ignore[arg-type]
+        object.__setattr__(self, "scalars", complete)
+        for channel in self.sensors:
+            sensor_index(channel, Sensor.NOISE)
+        self.simulation  # noqa: B018  (checks the effects)
+
+    @cached_property
+    def simulation(self) -> Simulation:
+        """The compiled chain of this model."""
+        c = nominal_coefficients(preset(self.device))
+        for name, value in self.scalars.items():
+            c[_COEFFICIENT[name]] = value
+        c[Coefficient.PLAY_LOW_R], c[Coefficient.PLAY_HIGH_R] = _open(self.resistance.span)
+        c[Coefficient.PLAY_LOW_D], c[Coefficient.PLAY_HIGH_D] = _open(self.deflection.span)
+        for channel, sensor in self.sensors.items():
+            kind = Sensor.NOISE_RELATIVE if channel == RESISTANCE else Sensor.NOISE
+            c[sensor_index(channel, kind)] = sensor.noise
+            c[sensor_index(channel, Sensor.COLOUR)] = sensor.colour[0] if sensor.colour else 0.0
+        return Simulation(
+            device=self.device,
+            kind=PLAYS,
+            coefficients=c,
+            packed_r=self.resistance.packed,
+            packed_d=self.deflection.packed,
+            poly_r=np.asarray(self.resistance.polynomial),
+            poly_d=np.asarray(self.deflection.polynomial),
+        ).with_effects(self.effects)
+
+    def simulate(
+        self, current: ArrayLike, *, dt: float | None = None, seed: int = 0, noise: bool = True
+    ) -> Recording:
+        """Run the model from its long rest on a commanded current (n,) [A]; as `Simulation.simulate`."""
+        return self.simulation.simulate(current, dt=dt, seed=seed, noise=noise)
+
+    def stepper(self, *, dt: float | None = None, seed: int = 0, noise: bool = True) -> Stepper:
+        """Return the model as a stream, bit-identical to `simulate` with the same arguments."""
+        return Stepper(self.simulation, dt=dt, seed=seed, noise=noise)
+
+    def to_parameters(self) -> dict[str, Value]:
+        """Return the flat `model.*` parameters; the ones that are neutral or empty are left out."""
+        flat: dict[str, Value] = {"model.device": self.device}
+        flat |= {f"model.{name}": value for name, value in self.scalars.items()}
+        for section in _BANKS:
+            flat |= getattr(self, section).to_parameters(f"model.{section}")
+        for channel, sensor in self.sensors.items():
+            head = f"model.sensors.{channel}"
+            flat |= {f"{head}.noise": sensor.noise, f"{head}.residual": sensor.residual}
+            flat |= {
+                f"{head}.colour": list(sensor.colour),
+                f"{head}.residual_colour": list(sensor.residual_colour),
+            }
+        for key, values in self.effects.items():
+            record = catalogue()[key.split(":")[0]]
+            complete, signal = record.complete(values)
+            head = f"model.effects.{record.id}.{signal}" if signal else f"model.effects.{record.id}"
+            flat |= {f"{head}.{name}": value for name, value in complete.items()}
+        flat |= {f"model.uncertainty.{name}": list(std) for name, std in self.uncertainty.items()}
+        return {name: value for name, value in flat.items() if value != []}
+
+    @classmethod
+    def from_parameters(cls, parameters: Mapping[str, Value]) -> DeviceModel:
+        """Return the model of flat `model.*` parameters; names of other sections are ignored.
+
+        Raises
+        ------
+        ValueError : no device named, or a value that is not allowed.
+        """
+        given = {p.name: p.check(parameters[p.name]) for p in PARAMETERS if p.name in parameters}
+        device = given.get("model.device", "")
+        if not device:
+            raise ValueError("model.device: found none, need a model; run `fit` or load its file")
+        sensors = {}
+        for channel in CHANNELS:
+            values = {
+                name: given.get(f"model.sensors.{channel}.{name}") for name in SensorModel.__annotations__
+            }
+            present = {name: _tuple(value) for name, value in values.items() if value not in (None, [])}
+            if present:
+                sensors[channel] = SensorModel(**present)  # type: ignore[arg-type]
+        return cls(
+            device=str(device),
+            scalars={name: float(given[f"model.{name}"]) for name in SCALARS if f"model.{name}" in given},  # type: ignore[arg-type]
+            resistance=PlayBank.from_parameters("model.resistance", given),
+            deflection=PlayBank.from_parameters("model.deflection", given),
+            sensors=sensors,
+            effects=_effects_of(given),
+            uncertainty={
+                name: tuple(given[f"model.uncertainty.{name}"])  # type: ignore[arg-type]
+                for name in fitted_names()
+                if given.get(f"model.uncertainty.{name}")
+            },
+        )
+
+    def save(self, path: str | Path, *, comment: str = "") -> None:
+        """Write the model file."""
+        save_model_parameters(path, self.to_parameters(), comment=comment)
+
+    @classmethod
+    def load(cls, path: str | Path) -> DeviceModel:
+        """Read a model file; raise a `ValueError` that names the file or the parameter."""
+        return cls.from_parameters(load_model_parameters(path))
+
+
+def _tuple(value: Value | None) -> float | tuple[float, ...]:
+    return tuple(value) if isinstance(value, list | tuple) else float(value)  # type: ignore[arg-type]
+
+
+def _open(span: tuple[float, float]) -> tuple[float, float]:
+    """A span that is not empty, so that an absent bank divides by one."""
+    return span if span[1] > span[0] else (0.0, 1.0)
+
+
+def _effects_of(given: Mapping[str, Value]) -> dict[str, dict[str, float | str]]:
+    """Effects whose parameters are not all neutral."""
+    found: dict[str, dict[str, float | str]] = {}
+    for record in catalogue().values():
+        for signal in record.channels if record.signal else ("",):
+            head = f"model.effects.{record.id}.{signal}" if signal else f"model.effects.{record.id}"
+            values = {
+                p.name: float(given[f"{head}.{p.name}"])  # type: ignore[arg-type]
+                for p in record.parameters
+                if f"{head}.{p.name}" in given
+            }
+            neutral = record.neutral()
+            if any(value != neutral[name] for name, value in values.items()):
+                key = f"{record.id}:{signal}" if signal else record.id
+                found[key] = {**values, "signal": signal} if signal else dict(values)
+    return found

@@ -1,0 +1,223 @@
+"""One compiled simulation: coefficients and hysteresis of a device, ready to run on any current.
+
+Truth and fitted model both become a `Simulation`; nothing else calls the compiled chain.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
+
+from vo2_models.device import chain
+from vo2_models.device.coefficients import CHANNELS, FEEDBACK, Coefficient, neutral
+from vo2_models.device.core import ENSEMBLE, PLAYS
+from vo2_models.device.presets import Preset, preset
+from vo2_models.device.state import CURRENT_LINE, SENSOR_LINE, ChainState, Slot
+from vo2_models.effects import apply_effects
+from vo2_models.recording import COMMANDED_CURRENT, Recording
+from vo2_models.validation import finite_array, positive_number
+
+__all__ = [
+    "FILM_TEMPERATURE",
+    "TRUE_DEFLECTION",
+    "TRUE_RESISTANCE",
+    "Simulation",
+    "nominal_coefficients",
+    "white_noise",
+]
+
+TRUE_DEFLECTION = "true_tip_deflection"
+"""Tip deflection before its sensor [m]."""
+FILM_TEMPERATURE = "true_temperature"
+"""Film temperature [degC]."""
+TRUE_RESISTANCE = "true_film_resistance"
+"""Resistance of the film itself, before terminals and sensor [ohm]."""
+
+_NO_LEVELS = np.zeros((2, 2, 0))
+_NO_DOMAINS = np.zeros((2, 2, 0), dtype=np.int64)
+_NO_PLAYS = np.zeros(7)
+_NO_POLYNOMIAL = np.zeros(1)
+
+Floats = NDArray[np.float64]
+
+
+def nominal_coefficients(device: Preset) -> Floats:
+    """Return the coefficients of the preset's driver and thermal model, with everything else neutral."""
+    c = neutral()
+    c[Coefficient.RANGE_LOW], c[Coefficient.RANGE_HIGH] = device.current_range
+    c[Coefficient.AMBIENT] = device.ambient
+    c[Coefficient.LINEAR_GAIN] = device.linear_gain
+    c[Coefficient.SQUARE_GAIN] = device.square_gain
+    c[Coefficient.TIME_CONSTANT] = device.time_constant
+    c[Coefficient.DEAD_TIME] = device.dead_time
+    return c
+
+
+def white_noise(seed: int, count: int) -> Floats:
+    """Return (count, 4) standard normal numbers, one independent stream per sensor."""
+    return np.column_stack([generator.standard_normal(count) for generator in noise_generators(seed)])
+
+
+def noise_generators(seed: int) -> list[np.random.Generator]:
+    """One generator per sensor channel; drawing in pieces gives the same numbers as drawing at once."""
+    return [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(len(CHANNELS))]
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Coefficients and hysteresis of one device.
+
+    Attributes
+    ----------
+    device : preset id
+    kind : member of the hysteresis interface, PLAYS or ENSEMBLE of `device.core`
+    coefficients : vector as in `device.coefficients`
+    packed_r, packed_d : play banks as `hysteresis.kernels` packs them (PLAYS)
+    poly_r, poly_d : polynomial coefficients in degC, lowest first (PLAYS)
+    levels, domains : sorted populations, metallic and structural (ENSEMBLE)
+    steps_per_constant : thermal steps per time constant where feedback needs them
+    force_feedback : take these steps although no effect needs them, so that a fit sees a smooth function
+    """
+
+    device: str
+    kind: int
+    coefficients: Floats
+    packed_r: Floats = field(default_factory=_NO_PLAYS.copy)
+    packed_d: Floats = field(default_factory=_NO_PLAYS.copy)
+    poly_r: Floats = field(default_factory=_NO_POLYNOMIAL.copy)
+    poly_d: Floats = field(default_factory=_NO_POLYNOMIAL.copy)
+    levels: Floats = field(default_factory=_NO_LEVELS.copy)
+    domains: NDArray[np.int64] = field(default_factory=_NO_DOMAINS.copy)
+    steps_per_constant: float = 8.0
+    force_feedback: bool = False
+
+    def with_effects(self, effects: Mapping[str, Mapping[str, float | str]]) -> Simulation:
+        """Return the same device with effects `{id: {parameter: value}}`; a signal effect also takes "signal"."""
+        c = self.coefficients.copy()
+        apply_effects(c, effects, device=self.device)
+        return Simulation(**{**self.__dict__, "coefficients": c})
+
+    def prepared(self, dt: float) -> tuple[Floats, Floats]:
+        """Return the coefficients for the sample period `dt` [s] and the (2, 4) exact step of the structural mode.
+
+        Raises
+        ------
+        ValueError : a delay does not fit its line at this sample period.
+        """
+        c = self.coefficients.copy()
+        period = positive_number(dt, "dt")
+        c[Coefficient.SAMPLE_PERIOD] = period
+        feedback = self.force_feedback or bool(np.any(c[list(FEEDBACK)] != 0.0))
+        c[Coefficient.FEEDBACK] = float(feedback)
+        fastest = c[Coefficient.TIME_CONSTANT]
+        steps = math.ceil(self.steps_per_constant * period / fastest) if feedback else 1
+        c[Coefficient.SUBSTEPS] = float(max(steps, 1))
+        if c[Coefficient.DEAD_TIME] > (CURRENT_LINE - 2) * period:
+            raise ValueError(
+                f"dead time: found {c[Coefficient.DEAD_TIME]:g} s, need at most {CURRENT_LINE - 2} sample periods"
+            )
+        return c, _mode_step(c, period)
+
+    def initial_state(self) -> ChainState:
+        """Return the memory of a device that has rested without current, insulating, for long."""
+        x = np.zeros(len(Slot))
+        banks = [_virgin(packed) for packed in (self.packed_r, self.packed_d)]
+        return ChainState(
+            scalars=x,
+            play_r=banks[0],
+            play_d=banks[1],
+            metallic=np.zeros((2, self.levels.shape[2]), dtype=np.uint8),
+            line=np.zeros(CURRENT_LINE),
+            sensors=np.zeros((len(CHANNELS), 2)),
+            sensor_lines=np.zeros((len(CHANNELS), SENSOR_LINE)),
+        )
+
+    def run(
+        self,
+        current: Floats,
+        *,
+        dt: float,
+        normals: Floats | None = None,
+        state: ChainState | None = None,
+    ) -> Floats:
+        """Run on `current` (n,) [A]; return (n, 9) as `chain.COLUMNS` describes. `state` is updated in place."""
+        c, mode = self.prepared(dt)
+        memory = self.initial_state() if state is None else state
+        noise = normals
+        if noise is None:
+            noise = np.zeros((current.size, len(CHANNELS)))
+        out = np.empty((current.size, chain.COLUMNS))
+        self.call(c, mode, memory, current, noise, out)
+        return out
+
+    def call(
+        self, c: Floats, mode: Floats, state: ChainState, current: Floats, normals: Floats, out: Floats
+    ) -> None:
+        """Run the compiled chain on checked arrays; nothing is allocated but a scratch of one play bank."""
+        chain.run_chain(
+            self.kind, c, mode, self.packed_r, self.packed_d, self.poly_r, self.poly_d, self.levels,
+            self.domains, state.scalars, state.play_r, state.play_d, state.metallic, state.line, state.sensors,
+            state.sensor_lines, current, normals, out,
+        )  # fmt: skip
+
+    def simulate(
+        self, current: ArrayLike, *, dt: float | None = None, seed: int = 0, noise: bool = True
+    ) -> Recording:
+        """Run the device from its long rest on a commanded current.
+
+        Parameters
+        ----------
+        current : (n,) commanded current [A]; element k flows during the interval that ends at sample k
+        dt : sample period [s], None for the preset's
+        seed : of the measurement noise
+        noise : whether the sensors add noise
+
+        Returns
+        -------
+        Recording of the preset's channels at k * dt, with `commanded_current`, and the inner truth under the names
+        `true_tip_deflection`, `true_film_resistance`, `true_temperature`.
+        """
+        nominal = preset(self.device)
+        command = finite_array(current, "current")
+        period = nominal.sample_period if dt is None else positive_number(dt, "dt")
+        normals = white_noise(seed, command.size) if noise else None
+        out = self.run(command, dt=period, normals=normals)
+        channels = {COMMANDED_CURRENT: command}
+        channels |= {name: out[:, k] for k, name in enumerate(CHANNELS) if name in nominal.channels}
+        inner = {TRUE_DEFLECTION: out[:, 4], FILM_TEMPERATURE: out[:, 5], TRUE_RESISTANCE: out[:, 6]}
+        return Recording(period * np.arange(command.size, dtype=np.float64), channels | inner, self.device)
+
+
+def _virgin(packed: Floats) -> Floats:
+    """Memory of a play bank after a long rest far below every transition: each play at its lower end."""
+    count = int(packed[0])
+    state = np.empty(count + 1)
+    state[0] = -1e6
+    state[1:] = -1.0 + packed[6 + count : 6 + 2 * count]
+    return state
+
+
+def _mode_step(c: Floats, period: float) -> Floats:
+    """Exact step of z'' + 2 zeta w z' + w^2 z = w^2 u over a period, u linear between samples.
+
+    State (z, z'/w); the rows give both from (z, z'/w, last u, new u).
+    """
+    if c[Coefficient.MODE_SHARE] == 0.0:
+        return np.zeros((2, 4))
+    angle = 2.0 * math.pi * c[Coefficient.MODE_FREQUENCY] * period
+    big = np.zeros((4, 4))
+    big[0, 1] = angle
+    big[1, :3] = [-angle, -2.0 * c[Coefficient.MODE_DAMPING] * angle, angle]
+    big[2, 3] = 1.0  # u grows by (new - last) over the unit interval
+    step = expm(big)[:2]
+    return np.ascontiguousarray(
+        np.column_stack([step[:, 0], step[:, 1], step[:, 2] - step[:, 3], step[:, 3]])
+    )
+
+
+__all__ += ["ENSEMBLE", "PLAYS", "noise_generators"]

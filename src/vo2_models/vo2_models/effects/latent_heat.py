@@ -1,0 +1,30 @@
+"""Latent heat of the transition."""
+
+from vo2_models.device.coefficients import Coefficient
+from vo2_models.effects.record import HEAT, Effect, constant_of, setting
+
+EFFECT = Effect(
+    id="latent_heat",
+    stage="thermal",
+    parameters=(
+        constant_of(
+            "latent", 0.0, "K", "latent heat of the whole film over the heat capacity of the body", 0, 60
+        ),
+    ),
+    apply=setting(latent=Coefficient.LATENT),
+    channels=HEAT,
+    presets=("integrated",),
+    typical={"integrated": {"latent": (5.0, 25.0)}},
+    equation="tau (1 + L ds/dT) dT/dt = T_inf(i) - T",
+    excitation="crossings of the transition faster than a few time constants, at more than one rate",
+    source=(
+        "mismatch table; first-order transition of VO2, about 51 J/g against 0.7 J/(g K) for the film alone "
+        "(Berglund and Guggenheim, Phys. Rev. 185, 1969), diluted by the passive layers"
+    ),
+    statement=(
+        "Turning insulator into metal takes up heat and gives it back on cooling. While the film "
+        "crosses its transition the same power moves the temperature less, so fast crossings show a plateau and "
+        "come late; at rest nothing changes. The parameter is the temperature rise that the same heat would cause "
+        "outside the transition."
+    ),
+)
