@@ -1,0 +1,159 @@
+"""Self-sensing schemes: exactness on their own law, bounds, memory, refusals."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from vo2_models.device import truth
+from vo2_models.device.bank import PlayBank
+from vo2_models.device.surrogate import temperature_of_surrogate
+from vo2_models.parameters import Parameter
+from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
+from vo2_models.self_sensing import KINDS, PARAMETERS, PolynomialSelfSensing, characterise, self_sensing
+from vo2_models.self_sensing.bounds import COVERAGE, fit_bound, table_at
+from vo2_models.self_sensing.polynomial import polynomial_step
+
+PLAYS = np.array([0.05, 0.3, 0.6])
+
+
+def bank(weights, centre, polynomial):
+    """A law with loops of 7 K around `centre` degC."""
+    slope = np.full(3, 0.25)
+    return PlayBank(
+        weights, PLAYS, slope, -slope * (centre + 3.5), slope, -slope * (centre - 3.5), polynomial
+    )
+
+
+def laws():
+    resistance = bank([0.3, 0.2, 0.1], 60.0, [-5.0, 4e-3])
+    deflection = bank([12e-6, 9e-6, 6e-6], 61.0, [30e-6, -0.15e-6])
+    return {
+        "model.device": "integrated",
+        **resistance.to_parameters("model.resistance"),
+        **deflection.to_parameters("model.deflection"),
+    }
+
+
+def samples(temperatures):
+    parameters = laws()
+    channels = {}
+    for name, section in ((RESISTANCE, "model.resistance"), (TIP_DEFLECTION, "model.deflection")):
+        law = PlayBank.from_parameters(section, parameters).egpi()
+        channels[name], _ = law.simulate(temperatures, law.initial_state(v=36.0))
+    channels[RESISTANCE] = 10.0 ** -channels[RESISTANCE]
+    return channels
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.lists(st.floats(36.0, 94.0), min_size=2, max_size=40))
+def test_composite_recovers_temperature_and_deflection_of_its_own_law(levels):
+    temperatures = np.array([36.0, *levels])
+    truth_channels = samples(temperatures)
+    scheme = self_sensing("composite", laws())
+    found, _ = scheme.estimate(truth_channels[RESISTANCE])
+    np.testing.assert_allclose(found.temperature, temperatures, atol=1e-6)
+    np.testing.assert_allclose(found.deflection, truth_channels[TIP_DEFLECTION], atol=1e-11)
+    np.testing.assert_allclose(
+        temperature_of_surrogate("integrated", found.surrogate), temperatures, atol=1e-6
+    )
+
+
+def test_composite_follows_loops_that_are_not_nested_in_the_resistance():
+    """The polynomial, which knows no history, must be wrong on both branches at one resistance."""
+    sweep = np.concatenate([np.linspace(36, 94, 300), np.linspace(94, 36, 300)])
+    channels = samples(sweep)
+    recording = Recording(np.arange(sweep.size) * 1e-3, channels, "integrated")
+    parameters = {**laws(), **characterise(recording, laws())}
+    errors = {}
+    for kind in ("composite", "polynomial"):
+        found, _ = self_sensing(kind, parameters).estimate(channels[RESISTANCE])
+        errors[kind] = np.abs(found.deflection - channels[TIP_DEFLECTION]).mean()
+    assert errors["composite"] < 1e-10
+    assert errors["polynomial"] > 1e-7
+
+
+@pytest.mark.parametrize("kind", ["composite", "polynomial"])
+def test_stream_equals_batch_and_memory_can_be_carried_over(kind):
+    channels = samples(np.random.default_rng(4).uniform(36, 94, 60))
+    recording = Recording(np.arange(60.0), channels, "integrated")
+    scheme = self_sensing(kind, {**laws(), **characterise(recording, laws())})
+    whole, final = scheme.estimate(channels[RESISTANCE])
+    first, memory = scheme.estimate(channels[RESISTANCE][:25])
+    rest, after = scheme.estimate(channels[RESISTANCE][25:], memory)
+    np.testing.assert_array_equal(np.concatenate([first.deflection, rest.deflection]), whole.deflection)
+    np.testing.assert_array_equal(final, after)
+    state = scheme.initial_state()
+    stream = [scheme.update(r, state) for r in channels[RESISTANCE]]
+    np.testing.assert_array_equal([e.deflection for e in stream], whole.deflection)
+    np.testing.assert_array_equal([e.bound for e in stream], whole.bound)
+
+
+def test_polynomial_step_is_the_chebyshev_series():
+    rng = np.random.default_rng(0)
+    resistance = 10 ** rng.uniform(4, 5.4, 400)
+    deflection = rng.normal(size=400)
+    scheme = PolynomialSelfSensing.fit(resistance, deflection, 8)
+    series = np.polynomial.Chebyshev(scheme.coefficients, scheme.domain)
+    table = np.array([0.0, 1.0])
+    found = [polynomial_step(r, scheme.domain, scheme.coefficients, table)[0] for r in resistance]
+    np.testing.assert_allclose(found, series(np.log10(resistance)), rtol=0, atol=1e-12)
+    ends = [polynomial_step(r, scheme.domain, scheme.coefficients, table)[0] for r in (1.0, 1e9)]
+    np.testing.assert_allclose(ends, series(scheme.domain), atol=1e-12)
+
+
+def test_bound_covers_the_share_it_promises_on_fresh_errors():
+    rng = np.random.default_rng(1)
+    knots = np.linspace(4, 5.4, 12)
+
+    def draw(n):
+        x = rng.uniform(4, 5.4, n)
+        return x, rng.normal(size=n) * (1 + 3 * (x - 4))
+
+    bound = fit_bound(*draw(20000), knots)
+    x, error = draw(20000)
+    table = np.concatenate([knots, bound])
+    inside = np.mean([abs(e) <= table_at(table, place) for place, e in zip(x, error, strict=True)])
+    assert inside == pytest.approx(COVERAGE, abs=0.02)
+    assert bound[-1] > 2 * bound[0]
+
+
+def test_bound_is_large_where_the_laws_are_not_those_of_the_device():
+    """Laws that belong to another device must not come with a small bound."""
+    current = np.concatenate([np.linspace(3.7e-3, 8.4e-3, 800), np.linspace(8.4e-3, 3.7e-3, 800)])
+    recording = truth("integrated", seed=3).simulate(current, seed=3)
+    found = characterise(recording, laws())
+    foreign = np.max(found["model.self_sensing.bounds.composite"])
+    assert foreign > 2e-6
+    assert np.max(found["model.self_sensing.bounds.polynomial"]) < foreign
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 0.0, -5.0])
+def test_a_resistance_that_is_none_is_refused(bad):
+    scheme = self_sensing("composite", laws())
+    with pytest.raises(ValueError, match="resistance"):
+        scheme.update(bad, scheme.initial_state())
+    with pytest.raises(ValueError, match="resistance"):
+        scheme.estimate([1e4, bad])
+
+
+def test_a_model_without_the_laws_is_refused_with_the_remedy():
+    with pytest.raises(ValueError, match=r"model\.resistance: found no law.*load a model file"):
+        self_sensing("composite", {"model.device": "integrated"})
+    with pytest.raises(ValueError, match="polynomial: found no polynomial"):
+        self_sensing("polynomial", laws())
+    with pytest.raises(ValueError, match="kind: found 'magic'"):
+        self_sensing("magic", laws())
+    with pytest.raises(ValueError, match="no channel tip_deflection"):
+        characterise(Recording(np.arange(3.0), {RESISTANCE: np.full(3, 1e4)}), laws())
+
+
+def test_records_describe_what_characterise_writes():
+    channels = samples(np.linspace(36, 94, 200))
+    found = characterise(Recording(np.arange(200.0), channels, "integrated"), laws())
+    records: dict[str, Parameter] = {record.name: record for record in PARAMETERS}
+    assert set(found) == set(records)
+    for name, value in found.items():
+        assert records[name].check(value) == value
+    assert set(KINDS) == {name.rsplit(".", 1)[1] for name in records if ".bounds." in name} - {
+        "log10_resistance"
+    }

@@ -1,0 +1,87 @@
+"""Error bounds: what the identification recording says about the errors at each resistance.
+
+The bound is empirical, so it covers whatever the scheme gets wrong (loop shape, noise, rate), as far as
+the identification recording showed it; it cannot cover what was never recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from vo2_models.parameters import Parameter, Value
+
+__all__ = ["BOUND_PARAMETERS", "COVERAGE", "bound_table", "fit_bound", "table_at"]
+
+Floats = NDArray[np.float64]
+
+COVERAGE = 0.95
+"""Share of the identification errors that lies within the bound."""
+_KNOTS = "model.self_sensing.bounds.log10_resistance"
+
+BOUND_PARAMETERS: tuple[Parameter, ...] = (
+    Parameter(
+        _KNOTS, [], "1", "log10 of the resistances in ohm at which error bounds stand", kind="float_array"
+    ),
+    *(
+        Parameter(
+            f"model.self_sensing.bounds.{kind}",
+            [],
+            "m",
+            f"error bound of the {kind} scheme at those resistances: 95 % of the identification errors were smaller",
+            kind="float_array",
+        )
+        for kind in ("composite", "polynomial")
+    ),
+)
+
+
+def fit_bound(log_resistance: Floats, error: Floats, knots: Floats) -> Floats:
+    """Return the `COVERAGE` quantile of |error| around each knot.
+
+    Parameters
+    ----------
+    log_resistance, error : (n,) log10 of the resistance in ohm, and estimation error [m]
+    knots : (m,) increasing places
+
+    Returns
+    -------
+    (m,) [m]; a knot with too few samples around it for a quantile takes the quantile of all samples.
+    """
+    magnitude = np.abs(error)
+    overall = float(np.quantile(magnitude, COVERAGE))
+    half = np.gradient(knots) if knots.size > 1 else np.ones(1)
+    needed = round(5 / (1 - COVERAGE))
+    bound = np.full(knots.size, overall)
+    for k, place in enumerate(knots):
+        near = magnitude[np.abs(log_resistance - place) <= half[k]]
+        if near.size >= needed:
+            bound[k] = np.quantile(near, COVERAGE)
+    return bound
+
+
+def bound_table(kind: str, parameters: Mapping[str, Value]) -> Floats:
+    """Return [knots..., bounds...] (2 m,) of a scheme from flat parameters; one knot with NaN where there is none."""
+    knots = np.atleast_1d(np.asarray(parameters.get(_KNOTS, []), dtype=np.float64))
+    bounds = np.atleast_1d(
+        np.asarray(parameters.get(f"model.self_sensing.bounds.{kind}", []), dtype=np.float64)
+    )
+    if knots.size == 0 or bounds.size != knots.size:
+        return np.array([0.0, np.nan])
+    return np.concatenate([knots, bounds])
+
+
+@njit(cache=True, error_model="numpy")
+def table_at(table, x):
+    """Linear interpolation in [knots..., values...], constant outside."""
+    m = table.size // 2
+    if x <= table[0]:
+        return table[m]
+    if x >= table[m - 1]:
+        return table[2 * m - 1]
+    k = np.searchsorted(table[:m], x) - 1
+    share = (x - table[k]) / (table[k + 1] - table[k])
+    return table[m + k] + share * (table[m + k + 1] - table[m + k])

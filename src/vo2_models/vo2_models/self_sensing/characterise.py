@@ -1,0 +1,52 @@
+"""What self-sensing adds to a fitted model: the polynomial, and the error bounds of every scheme."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from vo2_models.parameters import Value
+from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
+from vo2_models.self_sensing.bounds import BOUND_PARAMETERS, fit_bound
+from vo2_models.self_sensing.polynomial import PolynomialSelfSensing
+from vo2_models.self_sensing.scheme import KINDS, self_sensing
+
+__all__ = ["characterise"]
+
+_BINS = 24
+
+
+def characterise(
+    recording: Recording, parameters: Mapping[str, Value], *, degree: int = 8
+) -> dict[str, Value]:
+    """Return `model.self_sensing.*` parameters from the recording a model was fitted on.
+
+    Parameters
+    ----------
+    recording : identification recording with `film_resistance` [ohm] and `tip_deflection` [m]
+    parameters : flat `model.*` parameters of the fitted laws
+    degree : of the polynomial (section 7.3.1 uses 8, section 8.2 uses 9)
+
+    Raises
+    ------
+    ValueError : a recording without one of the channels, or with fewer usable samples than the fit needs.
+    """
+    for name in (RESISTANCE, TIP_DEFLECTION):
+        if name not in recording:
+            raise ValueError(
+                f"recording: found no channel {name}; self-sensing is identified from both channels"
+            )
+    resistance, deflection = recording[RESISTANCE], recording[TIP_DEFLECTION]
+    usable = np.isfinite(resistance) & np.isfinite(deflection) & (resistance > 0)
+    resistance, deflection = resistance[usable], deflection[usable]
+    found = PolynomialSelfSensing.fit(resistance, deflection, degree).to_parameters()
+    known = {**parameters, **found}
+    log_resistance = np.log10(resistance)
+    knots = np.linspace(log_resistance.min(), log_resistance.max(), _BINS)
+    found[BOUND_PARAMETERS[0].name] = knots.tolist()
+    for kind in KINDS:
+        estimate, _ = self_sensing(kind, known).estimate(resistance)
+        error = np.asarray(estimate.deflection) - deflection
+        found[f"model.self_sensing.bounds.{kind}"] = fit_bound(log_resistance, error, knots).tolist()
+    return found

@@ -1,0 +1,116 @@
+"""Composite self-sensing, section 7.2: resistance -> temperature surrogate -> deflection.
+
+Both hysteresis laws take the temperature as input, so the scheme runs the inverse of the resistance law
+(7.4) and feeds the temperature it finds to the deflection law (7.5). It follows loops of deflection against
+resistance that are not nested, which no single operator between the two can.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from vo2_models.device import surrogate_of_temperature
+from vo2_models.device.bank import PlayBank
+from vo2_models.device.presets import preset
+from vo2_models.hysteresis import EGPI, RobustInverse
+from vo2_models.hysteresis.inverse_kernels import invert_update
+from vo2_models.hysteresis.kernels import egpi_step
+from vo2_models.parameters import Value
+from vo2_models.self_sensing.bounds import bound_table, table_at
+from vo2_models.self_sensing.scheme import SelfSensing
+
+__all__ = ["CompositeSelfSensing"]
+
+Floats = NDArray[np.float64]
+
+_MARGIN_K = 10.0
+"""How far beyond the operating temperatures the inverse may search [K]: overshoot and a warmer ambient."""
+
+
+@njit(cache=True, error_model="numpy")
+def composite_step(resistance, inverse, deflection, thermal, table, state):
+    """One sample: (deflection [m], temperature [degC], surrogate [A], bound [m]).
+
+    `inverse`, `deflection` : packed inverse of the resistance law and packed deflection law;
+    `thermal` : ambient [degC], gain [K/A], gain [K/A^2]; `table` : bounds over log10 R;
+    `state` : memories of the two laws one after the other, updated in place.
+    """
+    y = -math.log10(resistance)
+    split = state.size - int(deflection[0]) - 1
+    temperature = invert_update(y, inverse, state[:split])
+    tip = egpi_step(temperature, deflection, state[split:])
+    rise = temperature - thermal[0]
+    surrogate = math.sqrt(max(rise, 0.0) / thermal[2]) if thermal[2] != 0.0 else rise / thermal[1]
+    return tip, temperature, surrogate, table_at(table, -y)
+
+
+@dataclass(frozen=True, eq=False)
+class CompositeSelfSensing(SelfSensing):
+    """Inverse resistance law, then deflection law.
+
+    Parameters
+    ----------
+    device : preset id; it fixes the temperature scale and the range the inverse searches
+    resistance : law of y = -log10(R / ohm) over the temperature in degC
+    deflection : law of the tip deflection [m] over the temperature in degC
+    table : [knots..., bounds...] over log10 R, from `bounds`
+
+    Raises
+    ------
+    ValueError : an unknown device, or a resistance law that does not change over the temperatures in use.
+    """
+
+    kind = "composite"
+
+    device: str
+    resistance: EGPI
+    deflection: EGPI
+    table: Floats = field(default_factory=lambda: np.array([0.0, np.nan]), repr=False)
+    _inverse: RobustInverse = field(init=False, repr=False)
+    _thermal: Floats = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        nominal = preset(self.device)
+        ends = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
+        limits = (min(ends[0] - _MARGIN_K, nominal.ambient - _MARGIN_K), ends[1] + _MARGIN_K)
+        thermal = np.array([nominal.ambient, nominal.linear_gain, nominal.square_gain])
+        object.__setattr__(self, "_inverse", RobustInverse(self.resistance, limits))
+        object.__setattr__(self, "_thermal", thermal)
+
+    @classmethod
+    def from_parameters(cls, parameters: Mapping[str, Value]) -> CompositeSelfSensing:
+        resistance = PlayBank.from_parameters("model.resistance", parameters)
+        deflection = PlayBank.from_parameters("model.deflection", parameters)
+        for bank, what in ((resistance, "model.resistance"), (deflection, "model.deflection")):
+            if not bank.present:
+                raise ValueError(
+                    f"{what}: found no law, the composite scheme needs one; load a model file that `fit` or "
+                    "`identifier` wrote from a recording with resistance and deflection"
+                )
+        table = bound_table(cls.kind, parameters)
+        return cls(str(parameters.get("model.device", "")), resistance.egpi(), deflection.egpi(), table)
+
+    @property
+    def temperature_range(self) -> tuple[float, float]:
+        """Temperatures [degC] the inverse searches."""
+        assert self._inverse.input_range is not None
+        return self._inverse.input_range
+
+    def initial_state(self) -> Floats:
+        low = self.temperature_range[0]
+        return np.concatenate([model.initial_state(v=low) for model in (self.resistance, self.deflection)])
+
+    def step(self, resistance: float, state: Floats) -> tuple[float, float, float, float]:
+        return composite_step(
+            resistance, self._inverse.packed, self.deflection.packed, self._thermal, self.table, state
+        )
+
+    def temperature_surrogate(self, temperature: Floats) -> Floats:
+        """Return the current [A] that holds the temperature [degC] at steady state (7.2)."""
+        return surrogate_of_temperature(self.device, temperature)

@@ -1,0 +1,127 @@
+"""What every self-sensing scheme offers, and how one is built from a model file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vo2_models.parameters import Parameter, Value
+from vo2_models.self_sensing.bounds import BOUND_PARAMETERS
+from vo2_models.validation import finite_array
+
+__all__ = ["KINDS", "PARAMETERS", "Estimate", "SelfSensing", "self_sensing"]
+
+Floats = NDArray[np.float64]
+
+_CLASSES = {
+    "composite": "composite.CompositeSelfSensing",
+    "polynomial": "polynomial.PolynomialSelfSensing",
+}
+KINDS = tuple(_CLASSES)
+"""Schemes by name, the recommended one first."""
+
+
+class Estimate(NamedTuple):
+    """One estimate, or arrays of them.
+
+    Attributes
+    ----------
+    deflection : tip deflection [m]
+    temperature : film temperature [degC]; NaN for a scheme that does not infer it
+    surrogate : temperature surrogate [A], the current that holds this temperature; NaN likewise
+    bound : error bound of the deflection [m]: 95 % of the errors in the identification recording at this
+        resistance were smaller
+    """
+
+    deflection: float | Floats
+    temperature: float | Floats
+    surrogate: float | Floats
+    bound: float | Floats
+
+
+class SelfSensing:
+    """A scheme that turns resistances into deflections, sample by sample, on explicit memory."""
+
+    kind: ClassVar[str]
+
+    @classmethod
+    def from_parameters(cls, parameters: Mapping[str, Value]) -> SelfSensing:
+        """Build the scheme from flat `model.*` parameters.
+
+        Raises
+        ------
+        ValueError : the model lacks what the scheme needs; the message says what and how to get it.
+        """
+        raise NotImplementedError
+
+    def initial_state(self) -> Floats:
+        """Return the memory of a device that comes from the cold: lower saturation."""
+        raise NotImplementedError
+
+    def step(self, resistance: float, state: Floats) -> tuple[float, float, float, float]:
+        """Advance one sample; (deflection, temperature, surrogate, bound), NaN for an input that is no number."""
+        raise NotImplementedError
+
+    def update(self, resistance: float, state: Floats) -> Estimate:
+        """Return the estimate for one resistance [ohm]; `state` is updated in place.
+
+        Raises
+        ------
+        ValueError : a resistance that is not finite and above 0.
+        """
+        if not 0.0 < resistance < np.inf:
+            raise ValueError(f"resistance: found {resistance!r} ohm, need a finite value above 0")
+        return Estimate(*self.step(float(resistance), state))
+
+    def estimate(self, resistance: ArrayLike, state: Floats | None = None) -> tuple[Estimate, Floats]:
+        """Run over resistances (n,) [ohm]; return the estimates as arrays (n,) and the final memory.
+
+        `state` is the memory before the first sample, None for lower saturation; it is not changed.
+        """
+        values = finite_array(resistance, "resistance")
+        if np.any(values <= 0):
+            k = int(np.flatnonzero(values <= 0)[0])
+            raise ValueError(f"resistance: found {values[k]:g} ohm at index {k}, need values above 0")
+        final = self.initial_state() if state is None else np.array(state, dtype=np.float64)
+        rows = np.empty((values.size, 4))
+        for k, value in enumerate(values.tolist()):
+            rows[k] = self.step(value, final)
+        return Estimate(*np.ascontiguousarray(rows.T)), final
+
+
+def self_sensing(kind: str, parameters: Mapping[str, Value]) -> SelfSensing:
+    """Return the scheme `kind` with the flat `model.*` parameters.
+
+    Raises
+    ------
+    ValueError : an unknown kind, or a model that lacks what the scheme needs.
+    """
+    if kind not in _CLASSES:
+        raise ValueError(f"kind: found {kind!r}, need one of {', '.join(KINDS)}")
+    module, name = _CLASSES[kind].split(".")
+    scheme: type[SelfSensing] = getattr(import_module(f"vo2_models.self_sensing.{module}"), name)
+    return scheme.from_parameters(parameters)
+
+
+PARAMETERS: tuple[Parameter, ...] = (
+    *BOUND_PARAMETERS,
+    Parameter(
+        "model.self_sensing.polynomial.domain",
+        [],
+        "1",
+        "lowest and highest log10 of the resistance in ohm that the polynomial was fitted on; empty without model",
+        kind="float_array",
+    ),
+    Parameter(
+        "model.self_sensing.polynomial.coefficients",
+        [],
+        "m",
+        "Chebyshev coefficients of the deflection over that domain, lowest first; empty without model",
+        kind="float_array",
+    ),
+)
+"""Records of everything in a model file that belongs to self-sensing alone."""
