@@ -28,6 +28,12 @@ _HOME = {
     "EGPI": "prandtl_ishlinskii",
     "GPI": "prandtl_ishlinskii",
     "OrderWarning": "prandtl_ishlinskii",
+    "AnalyticInverse": "inverse_analytic",
+    "inverse_cpi": "inverse_analytic",
+    "inverse_cpi_state": "inverse_analytic",
+    "FixedPointInverse": "inverse_fixed_point",
+    "convergence_condition": "inverse_fixed_point",
+    "RobustInverse": "inverse_robust",
 }
 __all__ = sorted(_HOME)
 

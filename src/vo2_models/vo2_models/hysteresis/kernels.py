@@ -33,6 +33,15 @@ exact = njit(cache=True, error_model="numpy")
 
 
 @exact
+def tanh(x):
+    """Hyperbolic tangent to 2e-16 *absolute*, monotone, at a third of the library function's time.
+
+    The library function spends its time on the relative accuracy of values near zero, which a sum over plays loses.
+    """
+    return 1.0 - 2.0 / (math.exp(2.0 * x) + 1.0)
+
+
+@exact
 def table_value(inputs, outputs, v):
     """Piecewise-linear function through strictly increasing knots, with its end slopes outside."""
     k = np.searchsorted(inputs, v) - 1
@@ -47,7 +56,7 @@ def envelope_value(kind, block, members, stride, j, v):
     if kind == LINEAR:
         return block[j] * v + block[members + j]
     if kind == TANH:
-        return math.tanh(block[j] * v + block[members + j])
+        return tanh(block[j] * v + block[members + j])
     knots = stride // 2
     table = block[j * stride : (j + 1) * stride]
     return table_value(table[:knots], table[knots:], v)
@@ -59,7 +68,7 @@ def envelope_slope(kind, block, members, stride, j, v):
     if kind == LINEAR:
         return block[j]
     if kind == TANH:
-        g = math.tanh(block[j] * v + block[members + j])
+        g = tanh(block[j] * v + block[members + j])
         return block[j] * (1.0 - g) * (1.0 + g)
     knots = stride // 2
     inputs = block[j * stride : j * stride + knots]
@@ -78,7 +87,7 @@ def envelope_inverse(kind, block, members, stride, j, g):
             return math.inf
         if g <= -1.0:
             return -math.inf
-        return (math.atanh(g) - block[members + j]) / block[j]
+        return (0.5 * math.log((1.0 + g) / (1.0 - g)) - block[members + j]) / block[j]
     knots = stride // 2
     table = block[j * stride : (j + 1) * stride]
     return table_value(table[knots:], table[:knots], g)
@@ -99,7 +108,7 @@ def memoryless_value(terms, count, v):
         elif kind == SINE:
             value = terms[at + 2] * math.sin(terms[at + 3] * v + terms[at + 4])
         else:
-            value = terms[at + 2] * math.tanh(terms[at + 3] * v + terms[at + 4])
+            value = terms[at + 2] * tanh(terms[at + 3] * v + terms[at + 4])
         total += value
         at += 2 + size
     return total
@@ -120,7 +129,7 @@ def memoryless_slope(terms, count, v):
         elif kind == SINE:
             value = terms[at + 2] * terms[at + 3] * math.cos(terms[at + 3] * v + terms[at + 4])
         else:
-            g = math.tanh(terms[at + 3] * v + terms[at + 4])
+            g = tanh(terms[at + 3] * v + terms[at + 4])
             value = terms[at + 2] * terms[at + 3] * (1.0 - g) * (1.0 + g)
         total += value
         at += 2 + size
@@ -128,49 +137,34 @@ def memoryless_slope(terms, count, v):
 
 
 @summing
-def _rise(g, radii, memory):
-    for j in range(memory.size):
-        level = g - radii[j]
-        memory[j] = level if level > memory[j] else memory[j]
+def _follow(direction, level, radii, weights, memory):
+    """Move every play of a shared envelope and return the weighted sum of the plays.
 
-
-@summing
-def _fall(g, radii, memory):
-    for j in range(memory.size):
-        level = g + radii[j]
-        memory[j] = level if level < memory[j] else memory[j]
-
-
-@summing
-def _move(v, previous, n, kind, shared, stride, packed, radii, memory):
-    """Bring the play memory (N,) from the input `previous` to v."""
-    if v == previous:
-        return
-    members = 1 if shared else n
-    start = HEADER + 2 * n
-    if v > previous:
-        block = packed[start : start + members * stride]
-        if shared:
-            _rise(envelope_value(kind, block, 1, stride, 0, v), radii, memory)
-        else:
-            for j in range(n):
-                level = envelope_value(kind, block, n, stride, j, v) - radii[j]
-                memory[j] = max(level, memory[j])
-    else:
-        block = packed[start + members * stride : start + 2 * members * stride]
-        if shared:
-            _fall(envelope_value(kind, block, 1, stride, 0, v), radii, memory)
-        else:
-            for j in range(n):
-                level = envelope_value(kind, block, n, stride, j, v) + radii[j]
-                memory[j] = min(level, memory[j])
-
-
-@summing
-def _weighted(weights, memory):
+    The falling play is the rising one with signs changed, so one branch-free loop serves both: `direction` is 1 or
+    -1 and `level` is direction * gamma(v), or -inf where the input stands still.
+    """
     total = 0.0
     for j in range(memory.size):
-        total += weights[j] * memory[j]
+        reached = level - radii[j]
+        held = direction * memory[j]
+        held = direction * (reached if reached > held else held)
+        memory[j] = held
+        total += weights[j] * held
+    return total
+
+
+@summing
+def _follow_own(direction, moves, v, kind, stride, block, radii, weights, memory):
+    """Like `_follow` with one envelope per play."""
+    total = 0.0
+    for j in range(memory.size):
+        held = memory[j]
+        if moves:
+            reached = direction * envelope_value(kind, block, memory.size, stride, j, v) - radii[j]
+            held *= direction
+            held = direction * (reached if reached > held else held)
+            memory[j] = held
+        total += weights[j] * held
     return total
 
 
@@ -186,10 +180,50 @@ def terms_of(packed):
 def egpi_output(packed, state):
     """Output of the model in the given state, which stays as it is."""
     n = int(packed[0])
-    total = packed[4] + _weighted(packed[HEADER : HEADER + n], state[1 : 1 + n])
+    total = packed[4]
+    for j in range(n):
+        total += packed[HEADER + j] * state[1 + j]
     if packed[5] > 0.0:
         total += memoryless_value(terms_of(packed), int(packed[5]), state[0])
     return total
+
+
+@summing
+def _run(v, packed, state, out):
+    """Run one device: v (n,) -> out (n,); the state (1+N,) is updated in place."""
+    n = int(packed[0])
+    kind = int(packed[1])
+    stride = int(packed[3])
+    bias = packed[4]
+    count = int(packed[5])
+    terms = terms_of(packed)
+    weights = packed[HEADER : HEADER + n]
+    radii = packed[HEADER + n : HEADER + 2 * n]
+    shared = packed[2] == 1.0
+    members = 1 if shared else n
+    start = HEADER + 2 * n
+    rising = packed[start : start + members * stride]
+    falling = packed[start + members * stride : start + 2 * members * stride]
+    memory = state[1:]
+    previous = state[0]
+    for k in range(v.size):
+        now = v[k]
+        up = now > previous
+        direction = 1.0 if up else -1.0
+        block = rising if up else falling
+        if shared:
+            level = -math.inf
+            if now != previous:
+                level = direction * envelope_value(kind, block, 1, stride, 0, now)
+            total = _follow(direction, level, radii, weights, memory)
+        else:
+            moves = now != previous
+            total = _follow_own(direction, moves, now, kind, stride, block, radii, weights, memory)
+        previous = now
+        if count > 0:
+            total += memoryless_value(terms, count, now)
+        out[k] = total + bias
+    state[0] = previous
 
 
 @summing
@@ -201,11 +235,27 @@ def egpi_step(v, packed, state):
     n = int(packed[0])
     if state.size != n + 1 or v != v:
         return math.nan
+    kind = int(packed[1])
+    stride = int(packed[3])
+    weights = packed[HEADER : HEADER + n]
     radii = packed[HEADER + n : HEADER + 2 * n]
     memory = state[1:]
-    _move(v, state[0], n, int(packed[1]), packed[2] == 1.0, int(packed[3]), packed, radii, memory)
+    up = v > state[0]
+    moves = v != state[0]
+    direction = 1.0 if up else -1.0
+    start = HEADER + 2 * n
+    if packed[2] == 1.0:
+        block = packed[start : start + stride] if up else packed[start + stride : start + 2 * stride]
+        level = direction * envelope_value(kind, block, 1, stride, 0, v) if moves else -math.inf
+        total = _follow(direction, level, radii, weights, memory)
+    else:
+        size = n * stride
+        block = packed[start : start + size] if up else packed[start + size : start + 2 * size]
+        total = _follow_own(direction, moves, v, kind, stride, block, radii, weights, memory)
     state[0] = v
-    return egpi_output(packed, state)
+    if packed[5] > 0.0:
+        total += memoryless_value(terms_of(packed), int(packed[5]), v)
+    return total + packed[4]
 
 
 @summing
@@ -216,52 +266,17 @@ def egpi_peek(v, packed, state):
 
 @summing
 def simulate_many(packed, v, state, out):
-    """Run m independent devices: v (m, n) -> out (m, n); state (m, 1+N) holds the initial and then the final one.
-
-    Radii, weights and memory are copied into arrays padded to whole vector registers with plays of
-    weight zero, so that no play is left for a slow scalar remainder.
-    """
-    n = int(packed[0])
-    padded = (n + 7) // 8 * 8
-    weights = np.zeros(padded)
-    radii = np.zeros(padded)
-    memory = np.zeros(padded)
-    weights[:n] = packed[HEADER : HEADER + n]
-    radii[:n] = packed[HEADER + n : HEADER + 2 * n]
-    kind = int(packed[1])
-    shared = packed[2] == 1.0
-    stride = int(packed[3])
-    bias = packed[4]
-    count = int(packed[5])
-    terms = terms_of(packed)
-    used = memory if shared else memory[:n]
+    """Run m independent devices: v (m, n) -> out (m, n); state (m, 1+N) holds the initial and then the final one."""
     for i in range(v.shape[0]):
-        memory[:n] = state[i, 1:]
-        memory[n:] = 0.0
-        previous = state[i, 0]
-        for k in range(v.shape[1]):
-            now = v[i, k]
-            _move(now, previous, n, kind, shared, stride, packed, radii, used)
-            previous = now
-            total = bias + _weighted(weights, memory)
-            if count > 0:
-                total += memoryless_value(terms, count, now)
-            out[i, k] = total
-        state[i, 0] = previous
-        state[i, 1:] = memory[:n]
+        _run(v[i], packed, state[i], out[i])
 
 
 @summing
 def play_outputs(packed, v, state, out):
     """Outputs of every play: v (n,) -> out (n, N); the state (1+N,) is updated in place."""
-    n = int(packed[0])
-    radii = packed[HEADER + n : HEADER + 2 * n]
-    memory = state[1:]
-    kind = int(packed[1])
     for k in range(v.size):
-        _move(v[k], state[0], n, kind, packed[2] == 1.0, int(packed[3]), packed, radii, memory)
-        state[0] = v[k]
-        out[k, :] = memory
+        egpi_step(v[k], packed, state)
+        out[k, :] = state[1:]
 
 
 @exact
