@@ -82,7 +82,7 @@ class PolynomialSelfSensing(SelfSensing):
         if np.ptp(x) == 0:
             raise ValueError("resistance: found one value throughout, need a recording in which it changes")
         series = np.polynomial.Chebyshev.fit(x, y, degree)
-        return cls(series.domain, series.coef)
+        return cls(np.asarray(series.domain, float), np.asarray(series.coef, float))
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, Value]) -> PolynomialSelfSensing:
