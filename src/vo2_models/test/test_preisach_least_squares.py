@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 from scipy.optimize import nnls
@@ -16,6 +16,7 @@ from vo2_models.preisach.signed_area import signed_area_matrix
 SEED = st.integers(0, 2**32 - 1)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(seed=SEED, level=st.integers(1, 9), diagonal=st.sampled_from(["triangle", "square"]))
 def test_matrix_times_parameters_is_the_operator(seed, level, diagonal):
     rng = np.random.default_rng(seed)
@@ -57,6 +58,7 @@ def test_reversal_fan_excites_every_cell():
     assert found.operator.parameters == pytest.approx(operator.parameters, abs=1e-8)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(seed=SEED, level=st.integers(1, 12), diagonal=st.sampled_from(["triangle", "square"]))
 def test_noise_free_damped_oscillation_returns_the_truth(seed, level, diagonal):
     rng = np.random.default_rng(seed)
@@ -127,6 +129,7 @@ def test_signed_operator_and_linear_term_are_recovered():
     assert again.slope == pytest.approx(-3.5, abs=1e-8)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(seed=SEED, columns=st.integers(1, 25), free=st.booleans())
 def test_block_pivoting_equals_lawson_and_hanson(seed, columns, free):
     rng = np.random.default_rng(seed)

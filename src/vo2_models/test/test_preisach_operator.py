@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from vo2_models.preisach import PreisachOperator, PreisachState
 from vo2_models.preisach.grid import cell_areas, everett_table, pack, unpack
@@ -58,6 +58,7 @@ def test_a_strongly_non_uniform_grid_finds_its_cells():
 SEED = st.integers(0, 2**32 - 1)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(seed=SEED, level=st.integers(1, 12), uniform=st.booleans())
 def test_batch_streaming_devices_and_split_runs_agree_exactly(seed, level, uniform):
     rng = np.random.default_rng(seed)
@@ -79,6 +80,7 @@ def test_batch_streaming_devices_and_split_runs_agree_exactly(seed, level, unifo
     assert end == operator.run(inputs, start)[1]
 
 
+@settings(deadline=None)  # the first call compiles
 @given(seed=SEED, level=st.integers(1, 12))
 def test_wiping_out_is_exact(seed, level):
     rng = np.random.default_rng(seed)
@@ -92,6 +94,7 @@ def test_wiping_out_is_exact(seed, level):
     assert direct == detour
 
 
+@settings(deadline=None)  # the first call compiles
 @given(seed=SEED, level=st.integers(1, 12))
 def test_congruency_minor_loops_between_the_same_inputs_have_the_same_shape(seed, level):
     rng = np.random.default_rng(seed)
@@ -105,6 +108,7 @@ def test_congruency_minor_loops_between_the_same_inputs_have_the_same_shape(seed
     assert shapes[0] == pytest.approx(shapes[1], abs=1e-12 * np.ptp(operator.output_range))
 
 
+@settings(deadline=None)  # the first call compiles
 @given(seed=SEED, level=st.integers(1, 12))
 def test_monotone_input_gives_monotone_output_and_order_is_kept(seed, level):
     rng = np.random.default_rng(seed)
@@ -118,6 +122,7 @@ def test_monotone_input_gives_monotone_output_and_order_is_kept(seed, level):
     assert np.all(operator(upper) - operator(lower) >= -tolerance)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(seed=SEED, level=st.integers(1, 12), repeats=st.integers(2, 5))
 def test_rate_independence(seed, level, repeats):
     rng = np.random.default_rng(seed)

@@ -8,9 +8,14 @@ from importlib import import_module
 from typing import Any
 
 _HOME = {
+    "NonMonotonicInverse": "nonmonotonic_inverse",
+    "NonMonotonicPreisach": "nonmonotonic",
     "PreisachFit": "least_squares",
+    "PreisachInverse": "inverse",
     "PreisachOperator": "operator",
     "PreisachState": "memory",
+    "fit_nonmonotonic": "nonmonotonic",
+    "fit_polynomial": "polynomial",
     "fit_preisach": "least_squares",
     "signed_area_matrix": "signed_area",
 }
