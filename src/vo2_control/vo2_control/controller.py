@@ -45,11 +45,13 @@ class Controller(Protocol):
     @state.setter
     def state(self, value: NDArray[np.float64]) -> None: ...
 
-    def update(self, reference_m: float, estimate_m: float) -> float:
+    def update(self, reference_m: float, estimate_m: float, feedforward_a: float = 0.0) -> float:
         """Advance one sample; return the current [A] to apply until the next one."""
         ...
 
-    def reset(self, current_a: float, reference_m: float, estimate_m: float) -> None:
+    def reset(
+        self, current_a: float, reference_m: float, estimate_m: float, feedforward_a: float = 0.0
+    ) -> None:
         """Start anew so that the next `update` with these signals continues from `current_a` [A]."""
         ...
 
@@ -75,7 +77,7 @@ class CurrentLimits:
 
 @dataclass(frozen=True)
 class LinearLaw:
-    """A discrete law v = c x + d (r, y), x+ = a x + b (r, y) + conditioning (v_applied - v).
+    """A discrete law v = operating + c x + d (r, y), x+ = a x + b (r, y) + conditioning (v_applied - v).
 
     Attributes
     ----------
@@ -84,6 +86,7 @@ class LinearLaw:
         for an integrator, an observer gain in general (Hanus' conditioning is the case b/d)
     sample_period_s : [s]
     coordinate : unit of v, see `Coordinate`
+    operating_a : current about which a law without integral action was designed [A]
     """
 
     a: NDArray[np.float64]
@@ -93,6 +96,7 @@ class LinearLaw:
     conditioning: NDArray[np.float64]
     sample_period_s: float
     coordinate: Coordinate = "current"
+    operating_a: float = 0.0
 
     def __post_init__(self) -> None:
         a = finite_array(self.a, "a", ndim=2)
@@ -143,14 +147,17 @@ def limited_step(
     state: NDArray[np.float64],
     reference_m: float,
     estimate_m: float,
+    ahead_a: float,
 ) -> float:
     """One sample of a `LinearLaw` behind its limits; updates `state` (n + 1,) in place, returns the current [A].
 
-    The last element of `state` is the current applied before. Plain loops: studies compile this very
-    function with numba, nodes call it as it is.
+    The last element of `state` is the current applied before. `ahead_a` [A] is added in the law's coordinate:
+    the operating current plus any feedforward, so that one set of limits and one anti-windup serve both. Plain
+    loops: studies compile this very function with numba, nodes call it as it is.
     """
     n = c.shape[0]
     v = float(d[0]) * reference_m + float(d[1]) * estimate_m
+    v += ahead_a * abs(ahead_a) if squared else ahead_a
     for j in range(n):
         v += float(c[j]) * float(state[j])
     before = float(state[n])
@@ -218,26 +225,38 @@ class LinearController:
     def state(self, value: NDArray[np.float64]) -> None:
         self._state = finite_array(value, "state", size=self.law.order + 1).copy()
 
-    def update(self, reference_m: float, estimate_m: float) -> float:
+    def update(self, reference_m: float, estimate_m: float, feedforward_a: float = 0.0) -> float:
         """Advance one sample; return the current [A].
+
+        Parameters
+        ----------
+        reference_m, estimate_m : [m]
+        feedforward_a : current that the feedback corrects [A], see `vo2_control.feedforward`
 
         Raises
         ------
         ValueError : a signal that is not finite; the memory is then unchanged.
         """
-        if not (math.isfinite(reference_m) and math.isfinite(estimate_m)):
+        if not (math.isfinite(reference_m) and math.isfinite(estimate_m) and math.isfinite(feedforward_a)):
             raise ValueError(
-                f"update: found reference {reference_m} m and estimate {estimate_m} m, need finite numbers"
+                f"update: found reference {reference_m} m, estimate {estimate_m} m and feedforward "
+                f"{feedforward_a} A, need finite numbers"
             )
-        return limited_step(*self._arguments, self._state, reference_m, estimate_m)
+        ahead = self.law.operating_a + feedforward_a
+        return limited_step(*self._arguments, self._state, reference_m, estimate_m, ahead)
 
-    def reset(self, current_a: float, reference_m: float, estimate_m: float) -> None:
+    def reset(
+        self, current_a: float, reference_m: float, estimate_m: float, feedforward_a: float = 0.0
+    ) -> None:
         """Start bumplessly from `current_a` [A], clipped to the range, at the given signals [m]."""
         signals = finite_array([reference_m, estimate_m], "reference_m, estimate_m")
         current = min(
             max(float(finite_array(current_a, "current_a", ndim=0)), self.limits.lower_a), self.limits.upper_a
         )
-        v = current * current if self.law.coordinate == "heating_power" else current
+        ahead = self.law.operating_a + float(finite_array(feedforward_a, "feedforward_a", ndim=0))
+        v = current - ahead
+        if self.law.coordinate == "heating_power":
+            v = current * current - ahead * abs(ahead)
         from_v, from_w = self._starts
         self._state[:-1] = from_v * v + from_w @ signals
         self._state[-1] = current

@@ -96,7 +96,7 @@ def _largest_singular_value(m: Complex) -> Array:
 
 def _lower_bound(m: Complex, upper: Array) -> Array:
     # where M11 alone nearly reaches beta only phases close to its own count: a grid that is fine there
-    steps = np.concatenate([[0.0], np.logspace(-6, np.log10(np.pi), 40)])
+    steps = np.concatenate([[0.0], np.logspace(-6, -1.5, 15), np.linspace(0.05, np.pi, 60)])
     offset = np.concatenate([-steps[:0:-1], steps])
     turn = np.exp(1j * (offset[None, :] - np.angle(m[:, :1, 0])))
     low = np.maximum(np.abs(m[:, 0, 0]), _largest_singular_value(m[:, 1:, 1:]))
