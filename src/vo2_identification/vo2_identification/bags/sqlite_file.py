@@ -26,6 +26,8 @@ class SqliteFile:
         try:
             # rosbags takes the bag's directory and names the file after it
             self._storage = Sqlite3Writer(path.parent, CompressionMode.NONE)
+            # a killed process loses nothing by it, and waiting for the disk twice a second would stall a recorder
+            self._storage.conn.execute("PRAGMA synchronous=OFF")
         except sqlite3.Error as error:
             raise OSError(str(error)) from error
         self.path = self._storage.path

@@ -122,6 +122,16 @@ class BagWriter:
         self._storage.flush(yaml.safe_dump(document[_INFORMATION], sort_keys=False))
         self._write_metadata(document)
 
+    def flush_if_due(self) -> None:
+        """Flush if messages have been waiting for the flush period; for use while no message comes.
+
+        Raises
+        ------
+        OSError : as `flush`.
+        """
+        if self._storage.pending and time.monotonic() >= self._due:
+            self.flush()
+
     def close(self) -> None:
         """Flush and close.
 

@@ -1,0 +1,234 @@
+"""`record` on a real graph: nothing lost, whole after a kill, honest about a full disk."""
+
+from __future__ import annotations
+
+import resource
+import signal
+import time
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from graph import Graph, running, wait_until
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.rosbag2 import Reader
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from vo2_identification.bags import read_bag, read_recording
+from vo2_plant_sim.interface.samples import SampleWriter
+from vo2_plant_sim.interface.topics import LATCHED_QOS, SAMPLE_QOS
+
+from vo2_identification import record
+
+RECORD = "vo2_identification.record"
+MEASURED = SampleWriter(("heater_current", "film_resistance"), "integrated")
+COMMANDED = SampleWriter(("heater_current",), "integrated")
+STEP_NS = 1_000_000
+
+
+@pytest.fixture
+def graph():
+    opened = Graph()
+    yield opened
+    opened.close()
+
+
+def sample(k):
+    return MEASURED.write(k * STEP_NS, (1e-3 * k, 1e5 - k))
+
+
+def publish_paced(publisher, messages, rate):
+    for message in messages:
+        publisher.publish(message)
+        # never catching up in a burst: a publisher keeps 100 samples, more at once are lost by contract
+        time.sleep(1 / rate)
+
+
+def wait_for_recorder(*publishers):
+    wait_until(lambda: all(publisher.get_subscription_count() > 0 for publisher in publishers), "discovery")
+    time.sleep(0.2)  # the other side learns of the match a little later
+
+
+def counted(path):
+    with Reader(path) as bag:
+        return {connection.topic: connection.msgcount for connection in bag.connections}
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_all_samples_of_two_fast_topics_are_recorded_with_their_stamps(graph, tmp_path, storage):
+    measurement = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
+    command = graph.publisher(JointState, "/vo2/command", SAMPLE_QOS)
+    total = 2000
+    with running(
+        RECORD, "--output", tmp_path / "bag", "--storage", storage, "--messages", 2 * total
+    ) as process:
+        wait_for_recorder(measurement, command)
+        for k in range(total):
+            measurement.publish(sample(k))
+            command.publish(COMMANDED.write(k * STEP_NS, (1.0 + k,)))
+            time.sleep(2e-4)
+        out, err = process.communicate(timeout=15)
+    assert process.returncode == 0, err
+    assert str(tmp_path / "bag") in out
+    assert f"Recorded {2 * total} messages" in out
+    recording, problems = read_recording(tmp_path / "bag")
+    assert problems == []
+    np.testing.assert_array_equal(recording.time_s, np.arange(total) / 1000)
+    np.testing.assert_array_equal(recording["film_resistance"], 1e5 - np.arange(total))
+    np.testing.assert_array_equal(recording["commanded_current"][1:], 1.0 + np.arange(total - 1))
+    with Reader(tmp_path / "bag") as bag:
+        times = [when for connection, when, _ in bag.messages() if connection.topic == "/vo2/measurement"]
+    assert times == [k * STEP_NS for k in range(total)]
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_killed_recorder_leaves_a_bag_up_to_the_last_second(graph, tmp_path, storage):
+    measurement = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
+    with running(RECORD, "--output", tmp_path / "bag", "--storage", storage) as process:
+        wait_for_recorder(measurement)
+        publish_paced(measurement, [sample(k) for k in range(500)], 400)
+        process.send_signal(signal.SIGKILL)
+        process.wait(timeout=5)
+    recording, _ = read_recording(tmp_path / "bag")
+    assert len(recording) >= 500 - 400  # 400 a second
+    np.testing.assert_array_equal(recording["film_resistance"], 1e5 - np.arange(len(recording)))
+    if storage == "mcap":  # no rescue needed: any reader takes it
+        assert counted(tmp_path / "bag") == {"/vo2/measurement": len(recording)}
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_sigterm_close_a_complete_bag(graph, tmp_path, how):
+    measurement = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
+    with running(RECORD, "--output", tmp_path / "bag") as process:
+        wait_for_recorder(measurement)
+        publish_paced(measurement, [sample(k) for k in range(100)], 1000)
+        process.send_signal(how)
+        out, err = process.communicate(timeout=15)
+    assert process.returncode == 0, err
+    assert "Traceback" not in err
+    assert "Recorded 100 messages" in out
+    recording, problems = read_recording(tmp_path / "bag")
+    assert len(recording) == 100
+    assert {problem.kind for problem in problems} == {"missing_topic"}
+
+
+def test_a_full_disk_is_said_and_the_bag_closed_readable(graph, tmp_path):
+    measurement = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
+
+    def small_disk():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (120_000, 120_000))
+
+    with running(RECORD, "--output", tmp_path / "bag", before=small_disk) as process:
+        wait_for_recorder(measurement)
+        k = 0
+        deadline = time.monotonic() + 15
+        while process.poll() is None and time.monotonic() < deadline:
+            measurement.publish(sample(k))
+            k += 1
+            time.sleep(0.001)
+        _, err = process.communicate(timeout=15)
+    assert process.returncode == 1
+    assert "closed and readable" in err
+    assert len(err.strip().splitlines()) == 1
+    recording, problems = read_recording(tmp_path / "bag")
+    assert 200 < len(recording) < k
+    assert {problem.kind for problem in problems} == {"missing_topic"}
+    assert counted(tmp_path / "bag") == {"/vo2/measurement": len(recording)}
+
+
+def test_latched_references_odd_publishers_and_repeats(graph, tmp_path):
+    reference = graph.publisher(JointState, "/vo2/reference", LATCHED_QOS)
+    reference.publish(COMMANDED.write(0, (5.0,)))  # before the recorder is there
+    sensor = QoSProfile(
+        depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
+    )
+    odd = graph.publisher(JointState, "/vo2/measurement", sensor)
+    with running(RECORD, "--output", tmp_path / "bag", "--messages", 11) as process:
+        wait_for_recorder(reference, odd)
+        for k in range(10):
+            for _ in range(3):  # as a plant in lockstep repeats itself
+                odd.publish(sample(k))
+                time.sleep(0.005)
+        _, err = process.communicate(timeout=15)
+    assert process.returncode == 0, err
+    assert counted(tmp_path / "bag") == {"/vo2/reference": 1, "/vo2/measurement": 10}
+    with Reader(tmp_path / "bag") as bag:
+        qos = {connection.topic: connection.ext.offered_qos_profiles[0] for connection in bag.connections}  # type: ignore[union-attr]
+    assert qos["/vo2/reference"].durability is QosDurability.TRANSIENT_LOCAL
+    assert qos["/vo2/measurement"].reliability is QosReliability.BEST_EFFORT
+    assert qos["/vo2/measurement"].durability is QosDurability.VOLATILE
+
+
+def test_messages_on_another_clock_are_filed_under_the_samples(graph, tmp_path):
+    diagnostics = graph.publisher(DiagnosticArray, "/diagnostics", SAMPLE_QOS)
+    measurement = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
+    clock = graph.publisher(Clock, "/clock", SAMPLE_QOS)
+    with running(RECORD, "--output", tmp_path / "bag", "--messages", 4) as process:
+        wait_for_recorder(diagnostics, measurement, clock)
+        wall = DiagnosticArray()
+        wall.header.stamp.sec = 1_700_000_000
+        diagnostics.publish(wall)  # nobody knows the samples' time yet
+        time.sleep(0.3)
+        measurement.publish(sample(7))
+        time.sleep(0.3)
+        near = DiagnosticArray()
+        near.header.stamp.nanosec = 9 * STEP_NS
+        diagnostics.publish(near)
+        tick = Clock()
+        tick.clock.nanosec = 8 * STEP_NS
+        clock.publish(serialize_message(tick))
+        _, err = process.communicate(timeout=15)
+    assert process.returncode == 0, err
+    with Reader(tmp_path / "bag") as bag:
+        assert sorted((c.topic, when // STEP_NS) for c, when, _ in bag.messages()) == [
+            ("/clock", 8),
+            ("/diagnostics", 7),
+            ("/diagnostics", 9),
+            ("/vo2/measurement", 7),
+        ]
+
+
+def test_another_namespace_duration_and_a_topic_of_the_graph(graph, tmp_path):
+    measurement = graph.publisher(JointState, "/rig/measurement", SAMPLE_QOS)
+    health = graph.publisher(DiagnosticArray, "/rig/health", SAMPLE_QOS)
+    topics = ("--topics", "/rig/measurement", "/rig/health")
+    options = ("--namespace", "/rig", "--output", tmp_path / "bag", "--duration", 3)
+    with running(RECORD, *topics, *options) as process:
+        wait_for_recorder(measurement, health)
+        measurement.publish(sample(1))
+        health.publish(DiagnosticArray())
+        _, err = process.communicate(timeout=15)
+    assert process.returncode == 0, err
+    assert counted(tmp_path / "bag") == {"/rig/measurement": 1, "/rig/health": 1}
+    recordings, _ = read_bag(tmp_path / "bag", namespace="/rig")
+    assert len(recordings["measurement"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--output", "{there}"], "exists already"),
+        (["--output", "{there}/file/bag"], "cannot be created"),
+        (["--output", "{new}", "--duration", "-1"], "--duration"),
+        (["--output", "{new}", "--messages", "0"], "--messages"),
+        (["--output", "{new}", "--speed", "1"], "--speed"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(tmp_path, capsys, arguments, named):
+    (tmp_path / "file").write_text("")
+    filled = [one.format(there=tmp_path, new=tmp_path / "new") for one in arguments]
+    assert record.main(filled) == 2
+    said = capsys.readouterr().err
+    assert named in said
+    assert len(said.strip().splitlines()) == 1
+    assert not (tmp_path / "new").exists()
+
+
+def test_help_is_sentences(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        record.main(["--help"])
+    said = capsys.readouterr().out
+    for option in ("--output", "--topics", "--duration", "--messages", "--storage", "--namespace"):
+        assert option in said

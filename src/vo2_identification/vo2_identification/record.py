@@ -1,0 +1,170 @@
+"""`record`: put the topics of a running loop into a rosbag2 bag."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import sys
+import time
+from collections.abc import Sequence
+from datetime import datetime
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from vo2_plant_sim.interface.executable import StopFlag
+
+    from vo2_identification.bags import BagWriter
+    from vo2_identification.recorder_node import Recorder
+
+__all__ = ["main"]
+
+_DESCRIPTION = """
+Record topics into a rosbag2 bag until Ctrl-C, SIGTERM, --duration or --messages. The bag is complete on disk
+twice a second: if the process is killed or the disk is full, any tool still reads it up to there. Log times are
+the stamps of the samples, so a run in simulated time gives the same bag every time.
+"""
+_SPIN_S = 0.05
+_DRAIN_S = 0.3
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit status: 0, 1 if the disk failed, 2 on bad input."""
+    options, ros_args = _parser().parse_known_args(args)
+    if "--ros-args" not in ros_args and ros_args:
+        return _refuse(f"{ros_args[0]}: no such option; see --help")
+    for name in ("duration", "messages"):
+        value = getattr(options, name)
+        if value is not None and value <= 0:
+            return _refuse(f"--{name}: found {value:g}, need a number above 0")
+    # rclpy and rosbags take a second to load: --help and bad options do not wait for them
+    from vo2_identification.bags import BagError, BagWriter
+
+    try:
+        bag = BagWriter(options.output, storage=options.storage)
+    except BagError as error:
+        return _refuse(str(error))
+    try:
+        return _record(bag, options, ros_args)
+    finally:
+        bag.close()
+
+
+def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) -> int:
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+    from vo2_plant_sim.interface.executable import StopFlag
+
+    from vo2_identification.recorder_node import Recorder, contract_topics
+
+    known = contract_topics(options.namespace)
+    topics = {name: known.get(name, "") for name in options.topics} if options.topics else known
+    stop = StopFlag()
+    recorder = None
+    try:
+        rclpy.init(args=ros_args, signal_handler_options=SignalHandlerOptions.NO)
+        recorder = Recorder(bag, topics)
+        print(f"Recording {', '.join(topics)} into {bag.path}; Ctrl-C ends it.", flush=True)
+        gc.freeze()  # what is loaded by now never goes: without it every collection stalls the loop
+        _spin(recorder, options, stop)
+        recorder.finish()
+        failure = recorder.failure
+        try:
+            bag.close()
+        except OSError as error:
+            failure = failure or error
+        _show_progress("")
+        return _summary(recorder, list(topics), failure)
+    except (ValueError, RuntimeError) as error:  # rclpy raises bare RuntimeErrors of its C layer
+        return _refuse(" ".join(str(error).split()))
+    finally:
+        if recorder is not None:
+            recorder.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _spin(recorder: Recorder, options: argparse.Namespace, stop: StopFlag) -> None:
+    from vo2_plant_sim.interface.executable import fastest_executor
+
+    executor = fastest_executor()
+    executor.add_node(recorder)
+    period = recorder.bag.flush_period_s
+    started = shown = time.monotonic()
+    count_shown = 0
+    while not stop.is_set and recorder.failure is None:
+        executor.spin_once(timeout_sec=_SPIN_S)
+        now = time.monotonic()
+        if options.messages is not None and recorder.count >= options.messages:
+            return
+        if options.duration is not None and now - started >= options.duration:
+            return
+        if now - shown >= period:
+            recorder.idle()
+            rate = (recorder.count - count_shown) / (now - shown)
+            _show_progress(f"{recorder.count} messages in {now - started:.0f} s, {rate:.0f} per second now")
+            shown, count_shown = now, recorder.count
+    # what the middleware has received before the stop belongs into the bag
+    deadline = time.monotonic() + _DRAIN_S
+    while time.monotonic() < deadline:
+        before = recorder.count + recorder.repeats
+        executor.spin_once(timeout_sec=_SPIN_S)
+        if recorder.count + recorder.repeats == before:
+            return
+
+
+def _summary(recorder: Recorder, topics: list[str], failure: OSError | None) -> int:
+    bag = recorder.bag
+    counts = ", ".join(f"{topic} {count}" for topic, count in sorted(bag.counts.items())) or "none"
+    if failure is not None:
+        print(
+            f"record: {bag.path}: cannot be written any more ({failure.strerror or failure}); the bag is closed and "
+            f"readable with {bag.count} messages; free some space and record again",
+            file=sys.stderr,
+        )
+        return 1
+    if not bag.count:
+        print(
+            f"record: no message came on {', '.join(topics)}; is the loop running, with this ROS_DOMAIN_ID?",
+            file=sys.stderr,
+        )
+    repeats = f"; {recorder.repeats} exact repeats left out" if recorder.repeats else ""
+    print(f"Recorded {bag.count} messages ({counts}{repeats}). The bag: {bag.path}", flush=True)
+    return 0
+
+
+def _show_progress(text: str) -> None:
+    if sys.stderr.isatty():
+        print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+
+
+def _refuse(text: str) -> int:
+    print(f"record: {text}", file=sys.stderr)
+    return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="record", description=_DESCRIPTION, allow_abbrev=False)
+    parser.add_argument(
+        "--output",
+        default=f"vo2_bag_{datetime.now():%Y_%m_%d-%H_%M_%S}",
+        help="Folder of the new bag; it must not exist. Default: vo2_bag_ with date and time, here.",
+    )
+    parser.add_argument(
+        "--topics",
+        nargs="+",
+        metavar="TOPIC",
+        help="Topics to record, with their full names. Default: the command, measurement, estimate and reference "
+        "of the namespace, /diagnostics and /clock.",
+    )
+    parser.add_argument("--namespace", default="/vo2", help="Namespace of the loop. Default: /vo2.")
+    parser.add_argument(
+        "--storage", choices=["mcap", "sqlite3"], default="mcap", help="Storage of the bag. Default: mcap."
+    )
+    parser.add_argument(
+        "--duration", type=float, metavar="S", help="Stop after so many seconds of wall time."
+    )
+    parser.add_argument("--messages", type=int, metavar="N", help="Stop after so many messages in all.")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
