@@ -10,11 +10,13 @@ import math
 import numpy as np
 from numba import njit
 
+from vo2_models.device.borrow import borrow
 from vo2_models.device.coefficients import PER_CHANNEL
 from vo2_models.device.coefficients import Coefficient as C
 from vo2_models.device.coefficients import Sensor as N
 from vo2_models.device.core import ENSEMBLE, advance, fraction_of, initial_transitions
 from vo2_models.device.laws import polynomial, truth_deflection, truth_resistance
+from vo2_models.device.state import CURRENT_LINE, SENSOR_LINE
 from vo2_models.device.state import Slot as S
 
 __all__ = ["COLUMNS", "run_chain"]
@@ -23,6 +25,10 @@ COLUMNS = 9
 """Columns of the output: the four sensor channels, then true deflection [m], film temperature [degC], true
 resistance [ohm], and the two transition outputs."""
 _SENSORS = len(C)
+LN10 = math.log(10.0)
+# delay lines are rings whose lengths are powers of two
+_LINE = CURRENT_LINE - 1
+_SENSOR_LINE = SENSOR_LINE - 1
 
 
 @njit(cache=True, error_model="numpy")
@@ -43,7 +49,7 @@ def _driver(c, x, command, period):
 def _film_resistance(kind, c, x, poly_r):
     if kind == ENSEMBLE:
         return truth_resistance(c, x[S.FILM], x[S.OUT_R])
-    return 10.0 ** -(x[S.OUT_R] + polynomial(poly_r, x[S.FILM]))
+    return math.exp(-LN10 * (x[S.OUT_R] + polynomial(poly_r, x[S.FILM])))
 
 
 @njit(cache=True, error_model="numpy")
@@ -82,25 +88,26 @@ def _structure(c, x, mode, deflection, period):
 
 
 @njit(cache=True, error_model="numpy")
-def _sense(c, at, value, normal, time, period, sample, memory, line):
+def _sense(c, channel, value, normal, time, period, sample, memory, line):
     """One sensor: lag, late clock, drifting gain, noise, quantisation, saturation."""
+    at = _SENSORS + channel * PER_CHANNEL
     out = value
     if c[at + N.LAG] > 0.0:
-        memory[0] += -math.expm1(-period / c[at + N.LAG]) * (out - memory[0])
-        out = memory[0]
+        memory[channel, 0] += -math.expm1(-period / c[at + N.LAG]) * (out - memory[channel, 0])
+        out = memory[channel, 0]
     if c[at + N.CLOCK] > 0.0:
-        line[sample % line.size] = out
+        line[channel, sample & _SENSOR_LINE] = out
         late = c[at + N.CLOCK] / period
         whole = int(late)
         part = late - whole
-        newer = line[(sample - whole) % line.size]
-        older = line[(sample - whole - 1) % line.size]
+        newer = line[channel, (sample - whole) & _SENSOR_LINE]
+        older = line[channel, (sample - whole - 1) & _SENSOR_LINE]
         out = newer + part * (older - newer)
     out *= 1.0 + c[at + N.DRIFT] * time
     if c[at + N.NOISE] != 0.0 or c[at + N.NOISE_RELATIVE] != 0.0:
         colour = c[at + N.COLOUR]
-        memory[1] = colour * memory[1] + math.sqrt(1.0 - colour * colour) * normal
-        out += memory[1] * (c[at + N.NOISE] + c[at + N.NOISE_RELATIVE] * abs(out))
+        memory[channel, 1] = colour * memory[channel, 1] + math.sqrt(1.0 - colour * colour) * normal
+        out += memory[channel, 1] * (c[at + N.NOISE] + c[at + N.NOISE_RELATIVE] * abs(out))
     if c[at + N.STEP] > 0.0:
         out = np.rint(out / c[at + N.STEP]) * c[at + N.STEP]
     return min(max(out, c[at + N.LOW]), c[at + N.HIGH])
@@ -118,9 +125,13 @@ def run_chain(
     `packed_*`, `poly_*` : play banks and polynomials; `levels`, `domains` : (2, 2, n) sorted populations;
     `normals` : (n, 4) standard normal numbers.
     """
+    c, mode, poly_r, poly_d, x = borrow(c), borrow(mode), borrow(poly_r), borrow(poly_d), borrow(x)
+    packed_r, packed_d, play_r, play_d = borrow(packed_r), borrow(packed_d), borrow(play_r), borrow(play_d)
+    levels, domains, metallic, line = borrow(levels), borrow(domains), borrow(metallic), borrow(line)
+    sensors, sensor_lines = borrow(sensors), borrow(sensor_lines)
+    command, normals, out = borrow(command), borrow(normals), borrow(out)
     period = c[C.SAMPLE_PERIOD]
     parts = max(int(c[C.SUBSTEPS]), 1)
-    scratch = np.empty(max(play_r.size, play_d.size))
     if x[S.STARTED] == 0.0:
         x[S.STARTED] = 1.0
         initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic)
@@ -140,24 +151,19 @@ def run_chain(
         sample = int(x[S.SAMPLE])
         time = sample * period
         current = _driver(c, x, command[k], period)
-        line[sample % line.size] = current
-        now = line[(sample - whole) % line.size]
-        # --- the held input may change inside the interval, where the dead time is no whole number of samples
-        if part > 0.0:
-            earlier = line[(sample - whole - 1) % line.size]
-            h = part / parts
-            for j in range(parts):
-                advance(
-                    kind, c, x, earlier, h, packed_r, packed_d, play_r, play_d, scratch, levels, domains,
-                    metallic, time - period + j * h,
-                )  # fmt: skip
-                if c[C.SENSE] != 0.0 or c[C.SENSE_FILM] != 0.0:
-                    x[S.RESISTANCE] = _film_resistance(kind, c, x, poly_r)
-        h = (period - part) / parts
-        for j in range(parts):
+        line[sample & _LINE] = current
+        # the held input changes inside the interval where the dead time is no whole number of samples
+        current_in = line[(sample - whole - 1) & _LINE]
+        h = part / parts
+        start = time - period
+        for j in range(0 if part > 0.0 else parts, 2 * parts):
+            if j == parts:
+                current_in = line[(sample - whole) & _LINE]
+                h = (period - part) / parts
+                start = time - period + part - parts * h
             advance(
-                kind, c, x, now, h, packed_r, packed_d, play_r, play_d, scratch, levels, domains,
-                metallic, time - period + part + j * h,
+                kind, c, x, current_in, h, start + j * h, packed_r, packed_d, play_r, play_d, levels, domains,
+                metallic,
             )  # fmt: skip
             if c[C.SENSE] != 0.0 or c[C.SENSE_FILM] != 0.0:
                 x[S.RESISTANCE] = _film_resistance(kind, c, x, poly_r)
@@ -170,8 +176,7 @@ def run_chain(
         out[k, 3] = x[S.STAGE]
         for channel in range(4):
             out[k, channel] = _sense(
-                c, _SENSORS + channel * PER_CHANNEL, out[k, channel], normals[k, channel], time, period,
-                sample, sensors[channel], sensor_lines[channel],
+                c, channel, out[k, channel], normals[k, channel], time, period, sample, sensors, sensor_lines
             )  # fmt: skip
         out[k, 4] = tip
         out[k, 5] = x[S.FILM]

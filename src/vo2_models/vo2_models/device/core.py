@@ -18,8 +18,8 @@ from numba import njit
 
 from vo2_models.device.coefficients import Coefficient as C
 from vo2_models.device.ensemble import ensemble_peek, ensemble_step
+from vo2_models.device.plays import bank_output
 from vo2_models.device.state import Slot as S
-from vo2_models.hysteresis.kernels import egpi_step
 
 __all__ = ["ENSEMBLE", "PLAYS", "advance", "ambient", "fraction_of", "initial_transitions", "leading"]
 
@@ -62,25 +62,19 @@ def fraction_of(kind, which, raw, c):
 @njit(cache=True, error_model="numpy")
 def _move(kind, which, v, packed, play, levels, domains, metallic, x):
     if kind == PLAYS:
-        return egpi_step(v, packed, play)
-    count = ensemble_step(
-        v, x[S.PREVIOUS_R + which], levels[which], domains[which], metallic[which], int(x[S.COUNT_R + which])
-    )
+        return bank_output(v, packed, play, True)
+    count = ensemble_step(v, x[S.PREVIOUS_R + which], which, levels, domains, metallic, x[S.COUNT_R + which])
     x[S.COUNT_R + which] = count
     x[S.PREVIOUS_R + which] = v
     return count / metallic.shape[1]
 
 
 @njit(cache=True, error_model="numpy")
-def _peek(kind, lead, v, packed, play, scratch, levels, domains, metallic, x):
+def _peek(kind, lead, v, packed, play, levels, domains, metallic, x):
     """Output of the transition `lead` after a move to v that is not made."""
     if kind == PLAYS:
-        view = scratch[: play.size]
-        view[:] = play
-        return egpi_step(v, packed, view)
-    count = ensemble_peek(
-        v, x[S.PREVIOUS_R + lead], levels[lead], domains[lead], metallic[lead], int(x[S.COUNT_R + lead])
-    )
+        return bank_output(v, packed, play, False)
+    count = ensemble_peek(v, x[S.PREVIOUS_R + lead], lead, levels, domains, metallic, x[S.COUNT_R + lead])
     return count / metallic.shape[1]
 
 
@@ -95,10 +89,15 @@ def leading(kind, packed_d):
 
 
 @njit(cache=True, error_model="numpy")
-def _fraction_at(kind, lead, film, follow, c, x, packed, play, scratch, levels, domains, metallic):
+def _fraction_at(
+    kind, lead, film, follow, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic
+):  # fmt: skip
     """Leading phase fraction after a move of the film to the temperature `film` that is not made."""
     v = film + lead * c[C.TRANSITION_OFFSET]
-    raw = _peek(kind, lead, v, packed, play, scratch, levels, domains, metallic, x)
+    if lead == 1:
+        raw = _peek(kind, lead, v, packed_d, play_d, levels, domains, metallic, x)
+    else:
+        raw = _peek(kind, lead, v, packed_r, play_r, levels, domains, metallic, x)
     raw = x[S.RAW_R + lead] + follow * (raw - x[S.RAW_R + lead])
     return fraction_of(kind, lead, raw, c)
 
@@ -107,7 +106,6 @@ def _fraction_at(kind, lead, film, follow, c, x, packed, play, scratch, levels, 
 def initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic):
     """Start from a long rest in the insulating phase at the ambient temperature; memory as given."""
     rest = ambient(c, 0.0)
-    x[S.BACKGROUND] = rest
     if c[C.LASER_FROM] < 0.0:
         rest += c[C.LASER]
     x[S.FAST] = rest
@@ -163,29 +161,20 @@ def _relax(c, x, film, h):
 
 
 @njit(cache=True, error_model="numpy")
-def advance(
-    kind, c, x, current, h, packed_r, packed_d, play_r, play_d, scratch, levels, domains, metallic, time
-):
-    """Advance temperature and transitions by h [s] under a held current [A]; `time` [s] at the start."""
-    laser = c[C.LASER] if time >= c[C.LASER_FROM] else 0.0
-    background = ambient(c, time)
-    x[S.BACKGROUND] = background
+def _heat(c, x, current, h, time, background):
+    """Heat taken up in the step, as temperature rise [K] without latent heat; the slow mode moves along."""
     theta = x[S.FAST] - background
-    s = x[S.FRACTION]
-    # --- heat
     joule = c[C.LINEAR_GAIN] * current + c[C.SQUARE_GAIN] * current * current
     pump = joule * c[C.HEATER_TCR] + c[C.PUMPING] * current
-    extra = laser + c[C.SENSE] * x[S.RESISTANCE]
-    conductance = 1.0 + c[C.PHASE_LOSS] * s
-    loss = theta
-    stiffness = 1.0
+    drive = joule + c[C.SENSE] * x[S.RESISTANCE]
+    if time >= c[C.LASER_FROM]:
+        drive += c[C.LASER]
+    conductance = 1.0 + c[C.PHASE_LOSS] * x[S.FRACTION]
+    bend = 0.0
     if c[C.LOSS] != 0.0:
         bend = c[C.LOSS] * abs(theta) ** (c[C.LOSS_EXPONENT] - 1.0)
-        loss = theta * (1.0 + bend)
-        stiffness = 1.0 + c[C.LOSS_EXPONENT] * bend
-    drive = joule + extra
-    surplus = drive + pump * theta - conductance * loss
-    rate = conductance * stiffness - pump
+    surplus = drive + pump * theta - conductance * theta * (1.0 + bend)
+    rate = conductance * (1.0 + c[C.LOSS_EXPONENT] * bend) - pump
     tau = c[C.TIME_CONSTANT]
     if surplus < 0.0:
         tau *= 1.0 + c[C.COOLING_RATIO]
@@ -193,12 +182,70 @@ def advance(
         x[S.LAG_RATE] = rate
         x[S.LAG_TIME] = tau
         x[S.LAG_STEP] = h
-        x[S.LAG_DECAY] = -math.expm1(-rate * h / tau) / rate if rate > 1e-6 else h / tau
-    heat = surplus * x[S.LAG_DECAY] + x[S.CARRY]
-    # --- slow thermal mode, side by side with the fast one
+        x[S.LAG_DECAY] = -math.expm1(-rate * h / tau) / rate if abs(rate) > 1e-6 else h / tau
     if c[C.SLOW_SHARE] != 0.0:
         x[S.SLOW] += -math.expm1(-h / c[C.SLOW_TIME]) * (drive - x[S.SLOW])
-    # --- temperature of the film above its stage
+    return surplus * x[S.LAG_DECAY]
+
+
+@njit(cache=True, error_model="numpy")
+def _solve_latent(
+    kind, lead, c, x, heat, follow, slope, rest, packed_r, packed_d, play_r, play_d, levels, domains, metallic
+):
+    """Temperature of the fast mode at which the heat is spent on temperature and phase on this branch.
+
+    The film is at slope * fast + rest. Root of fast + L s(fast) between no and full temperature change
+    (Illinois); what is left over is carried into the next step.
+    """
+    s = x[S.FRACTION]
+    low = x[S.FAST]
+    f_low = -heat
+    fast = low + heat
+    there = _fraction_at(
+        kind,
+        lead,
+        slope * fast + rest,
+        follow,
+        c,
+        x,
+        packed_r,
+        packed_d,
+        play_r,
+        play_d,
+        levels,
+        domains,
+        metallic,
+    )
+    high = fast
+    f_high = c[C.LATENT] * (there - s)
+    if f_high * heat <= 0.0:
+        return fast
+    for _ in range(4):
+        fast = high - f_high * (high - low) / (f_high - f_low)
+        there = _fraction_at(
+            kind, lead, slope * fast + rest, follow, c, x, packed_r, packed_d, play_r, play_d, levels, domains,
+            metallic,
+        )  # fmt: skip
+        value = fast - x[S.FAST] - heat + c[C.LATENT] * (there - s)
+        if abs(value) < LATENT_TOLERANCE:
+            break
+        if value * f_high < 0.0:
+            low = high
+            f_low = f_high
+        else:
+            f_low *= 0.5
+        high = fast
+        f_high = value
+    return fast
+
+
+@njit(cache=True, error_model="numpy")
+def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, levels, domains, metallic):
+    """Advance temperature and transitions by h [s] under a held current [A]; `time` [s] at the start."""
+    lead = leading(kind, packed_d)
+    s = x[S.FRACTION]
+    background = ambient(c, time)
+    heat = _heat(c, x, current, h, time, background) + x[S.CARRY]
     film_extra = c[C.SENSE_FILM] * x[S.RESISTANCE]
     if time >= c[C.LASER_FROM]:
         film_extra += c[C.LASER_FILM]
@@ -206,66 +253,45 @@ def advance(
     follow = 1.0
     if c[C.KINETICS] > 0.0:
         follow = -math.expm1(-h / c[C.KINETICS])
-    fast = x[S.FAST] + heat
-    lead = leading(kind, packed_d)
-    bank = packed_d if lead == 1 else packed_r
-    play = play_d if lead == 1 else play_r
-    if c[C.LATENT] != 0.0 and heat != 0.0:
-        # enthalpy balance on this branch, root between no and full temperature change (Illinois)
-        rest = c[C.SLOW_SHARE] * (x[S.SLOW] + background) + film_extra + shift
-        slope = 1.0 - c[C.SLOW_SHARE]
-        low, f_low = x[S.FAST], -heat
-        high = fast
-        f_high = c[C.LATENT] * (
-            _fraction_at(
-                kind, lead, slope * high + rest, follow, c, x, bank, play, scratch, levels, domains, metallic
-            )
-            - s
-        )
-        if f_high * heat > 0.0:
-            for _ in range(4):
-                fast = high - f_high * (high - low) / (f_high - f_low)
-                there = _fraction_at(
-                    kind,
-                    lead,
-                    slope * fast + rest,
-                    follow,
-                    c,
-                    x,
-                    bank,
-                    play,
-                    scratch,
-                    levels,
-                    domains,
-                    metallic,
-                )
-                value = fast - x[S.FAST] - heat + c[C.LATENT] * (there - s)
-                if abs(value) < LATENT_TOLERANCE:
-                    break
-                if value * f_high < 0.0:
-                    low, f_low = high, f_high
-                else:
-                    f_low *= 0.5
-                high, f_high = fast, value
+    # stage = (1 - share) fast + share (slow + ambient); the film sits a little above its stage
+    share = c[C.SLOW_SHARE]
     before = x[S.FAST]
+    fast = before + heat
+    if c[C.LATENT] != 0.0:
+        rest = share * (x[S.SLOW] + background) + film_extra + shift
+        fast = _solve_latent(
+            kind, lead, c, x, heat, follow, 1.0 - share, rest, packed_r, packed_d, play_r, play_d, levels, domains,
+            metallic,
+        )  # fmt: skip
     x[S.FAST] = fast
-    stage = fast + c[C.SLOW_SHARE] * (x[S.SLOW] - (fast - background))
-    film = stage + film_extra
-    x[S.STAGE] = stage
+    x[S.STAGE] = fast + share * (x[S.SLOW] + background - fast)
+    film = x[S.STAGE] + film_extra
     x[S.FILM] = film
-    # --- transitions
     if c[C.TRAINING] != 0.0:
         _count_reversals(c, x, film)
         shift = c[C.TRAINING] * x[S.REVERSALS]
+    # --- transitions
     effective = film + shift
     if c[C.INCONGRUENCY] != 0.0:
-        guess = effective + c[C.INCONGRUENCY] * (s - 0.5)
+        seen = effective
+        effective += c[C.INCONGRUENCY] * (s - 0.5)
         for _ in range(4):
             there = _fraction_at(
-                kind, lead, guess, follow, c, x, bank, play, scratch, levels, domains, metallic
+                kind,
+                lead,
+                effective,
+                follow,
+                c,
+                x,
+                packed_r,
+                packed_d,
+                play_r,
+                play_d,
+                levels,
+                domains,
+                metallic,
             )
-            guess = effective + c[C.INCONGRUENCY] * (there - 0.5)
-        effective = guess
+            effective = seen + c[C.INCONGRUENCY] * (there - 0.5)
     raw_r = _move(kind, 0, effective, packed_r, play_r, levels, domains, metallic, x)
     raw_d = _move(kind, 1, effective + c[C.TRANSITION_OFFSET], packed_d, play_d, levels, domains, metallic, x)
     if follow < 1.0:
@@ -273,11 +299,20 @@ def advance(
         raw_d = x[S.RAW_D] + follow * (raw_d - x[S.RAW_D])
     x[S.RAW_R] = raw_r
     x[S.RAW_D] = raw_d
-    span_r = 1.0
-    span_d = 1.0
-    if kind == PLAYS:
-        span_r = c[C.PLAY_HIGH_R] - c[C.PLAY_LOW_R]
-        span_d = c[C.PLAY_HIGH_D] - c[C.PLAY_LOW_D]
+    x[S.OUT_R] = raw_r
+    x[S.OUT_D] = raw_d
+    if c[C.RELAXATION] != 0.0 or c[C.REVERSIBLE] != 0.0:
+        _add_reversible(kind, lead, c, x, film, h)
+    if c[C.FEEDBACK] != 0.0:
+        x[S.FRACTION] = fraction_of(kind, lead, x[S.OUT_R + lead], c)
+    if c[C.LATENT] != 0.0:
+        x[S.CARRY] = heat - (fast - before) - c[C.LATENT] * (x[S.FRACTION] - s)
+
+
+@njit(cache=True, error_model="numpy")
+def _add_reversible(kind, lead, c, x, film, h):
+    """What both transitions do beside switching: drift at holds, and a reversible slope inside the dead band."""
+    inside = min(max(fraction_of(kind, lead, x[S.RAW_R + lead], c), 0.0), 1.0)
     added = 0.0
     if c[C.RELAXATION] != 0.0:
         _relax(c, x, film, h)
@@ -285,14 +320,10 @@ def advance(
     if c[C.REVERSIBLE] != 0.0:
         width = c[C.REVERSIBLE_BAND]
         x[S.BAND] = min(max(x[S.BAND], film - width), film + width)
-        inside = min(max(fraction_of(kind, lead, x[S.RAW_R + lead], c), 0.0), 1.0)
         added += c[C.REVERSIBLE] * (film - x[S.BAND]) * 4.0 * inside * (1.0 - inside)
-    x[S.OUT_R] = raw_r + span_r * added
-    x[S.OUT_D] = raw_d + span_d * added
-    if kind == ENSEMBLE and added != 0.0:
-        x[S.OUT_R] = min(max(x[S.OUT_R], 0.0), 1.0)
-        x[S.OUT_D] = min(max(x[S.OUT_D], 0.0), 1.0)
-    if c[C.FEEDBACK] != 0.0:
-        x[S.FRACTION] = fraction_of(kind, lead, x[S.OUT_R + lead], c)
-    if c[C.LATENT] != 0.0:
-        x[S.CARRY] = heat - (fast - before) - c[C.LATENT] * (x[S.FRACTION] - s)
+    if kind == ENSEMBLE:
+        x[S.OUT_R] = min(max(x[S.OUT_R] + added, 0.0), 1.0)
+        x[S.OUT_D] = min(max(x[S.OUT_D] + added, 0.0), 1.0)
+    else:
+        x[S.OUT_R] += added * (c[C.PLAY_HIGH_R] - c[C.PLAY_LOW_R])
+        x[S.OUT_D] += added * (c[C.PLAY_HIGH_D] - c[C.PLAY_LOW_D])

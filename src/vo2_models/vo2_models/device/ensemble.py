@@ -65,39 +65,66 @@ def sort_population(
 
 
 @njit(cache=True, error_model="numpy")
-def ensemble_step(temperature, previous, levels, domains, metallic, count):
+def _above(levels, which, side, value):
+    """Number of levels not above `value` (a search without a slice, which would cost reference counts)."""
+    low, high = 0, levels.shape[2]
+    while low < high:
+        middle = (low + high) // 2
+        if levels[which, side, middle] <= value:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(cache=True, error_model="numpy")
+def _from(levels, which, side, value):
+    """Number of levels below `value`."""
+    low, high = 0, levels.shape[2]
+    while low < high:
+        middle = (low + high) // 2
+        if levels[which, side, middle] < value:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(cache=True, error_model="numpy")
+def ensemble_step(temperature, previous, which, levels, domains, metallic, count):
     """Move the ensemble from `previous` to `temperature`; return the number of metallic domains.
 
-    `levels`, `domains` : (2, n) as from `sort_population`; `metallic` : (n,) uint8, updated in place.
+    `levels`, `domains` : (m, 2, n), each member as from `sort_population`; `metallic` : (m, n) uint8, updated in
+    place; `which` : the member to move.
     """
     if temperature > previous:
-        k = np.searchsorted(levels[0], previous, side="right")
-        while k < metallic.size and levels[0, k] <= temperature:
-            domain = domains[0, k]
-            count += 1 - metallic[domain]
-            metallic[domain] = 1
+        k = _above(levels, which, 0, previous)
+        while k < metallic.shape[1] and levels[which, 0, k] <= temperature:
+            domain = domains[which, 0, k]
+            count += 1 - metallic[which, domain]
+            metallic[which, domain] = 1
             k += 1
     elif temperature < previous:
-        k = np.searchsorted(levels[1], previous, side="left") - 1
-        while k >= 0 and levels[1, k] >= temperature:
-            domain = domains[1, k]
-            count -= metallic[domain]
-            metallic[domain] = 0
+        k = _from(levels, which, 1, previous) - 1
+        while k >= 0 and levels[which, 1, k] >= temperature:
+            domain = domains[which, 1, k]
+            count -= metallic[which, domain]
+            metallic[which, domain] = 0
             k -= 1
     return count
 
 
 @njit(cache=True, error_model="numpy")
-def ensemble_peek(temperature, previous, levels, domains, metallic, count):
+def ensemble_peek(temperature, previous, which, levels, domains, metallic, count):
     """Number of metallic domains after a move to `temperature` that is not made."""
     if temperature > previous:
-        k = np.searchsorted(levels[0], previous, side="right")
-        while k < metallic.size and levels[0, k] <= temperature:
-            count += 1 - metallic[domains[0, k]]
+        k = _above(levels, which, 0, previous)
+        while k < metallic.shape[1] and levels[which, 0, k] <= temperature:
+            count += 1 - metallic[which, domains[which, 0, k]]
             k += 1
     elif temperature < previous:
-        k = np.searchsorted(levels[1], previous, side="left") - 1
-        while k >= 0 and levels[1, k] >= temperature:
-            count -= metallic[domains[1, k]]
+        k = _from(levels, which, 1, previous) - 1
+        while k >= 0 and levels[which, 1, k] >= temperature:
+            count -= metallic[which, domains[which, 1, k]]
             k -= 1
     return count

@@ -158,7 +158,7 @@ class Simulation:
     def call(
         self, c: Floats, mode: Floats, state: ChainState, current: Floats, normals: Floats, out: Floats
     ) -> None:
-        """Run the compiled chain on checked arrays; nothing is allocated but a scratch of one play bank."""
+        """Run the compiled chain on checked arrays; nothing is allocated."""
         chain.run_chain(
             self.kind, c, mode, self.packed_r, self.packed_d, self.poly_r, self.poly_d, self.levels,
             self.domains, state.scalars, state.play_r, state.play_d, state.metallic, state.line, state.sensors,

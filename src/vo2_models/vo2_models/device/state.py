@@ -55,7 +55,6 @@ class Slot(IntEnum):
     MODE = auto()  # m, displacement of the mode
     MODE_RATE = auto()  # m per rad of the mode
     MODE_INPUT = auto()  # m
-    BACKGROUND = auto()  # degC, ambient at the last step
     LAG_RATE = auto()  # cached relaxation rate and the decay that belongs to it
     LAG_TIME = auto()
     LAG_STEP = auto()
