@@ -64,12 +64,13 @@ def inverse_cpi(model: CPI) -> GPI:
 def inverse_cpi_state(model: CPI, state: FloatArray) -> FloatArray:
     """Return the memory of `inverse_cpi(model)` that belongs to the model's memory `state` (1 + N,).
 
-    The inverse's plays are w^_j = sum_{i <= j} p_i w_i + w_j sum_{i > j} p_i.
+    The inverse's plays are w^_j = w_j sum_{i <= j} p_i + sum_{i > j} p_i w_i.
     """
     memory, weights = model._checked_state(state, None)[0][1:], model.weights
-    below = np.cumsum(weights * memory)
-    above = np.sum(weights) - np.cumsum(weights)
-    return np.concatenate([[model.output(state)], below + memory * above])
+    contributions = weights * memory
+    smaller = memory * np.cumsum(weights)
+    larger = np.sum(contributions) - np.cumsum(contributions)
+    return np.concatenate([[model.output(state)], smaller + larger])
 
 
 @dataclass(frozen=True, eq=False)
