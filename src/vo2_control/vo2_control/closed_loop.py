@@ -7,7 +7,7 @@ into an estimate; controller and feedforward decide the next current. The same l
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -15,86 +15,35 @@ from numpy.typing import ArrayLike, NDArray
 from vo2_models.device import chain
 from vo2_models.device.presets import preset
 from vo2_models.device.simulation import Simulation, white_noise
-from vo2_models.hysteresis.inverse_kernels import invert_step
-from vo2_models.hysteresis.kernels import egpi_step
-from vo2_models.hysteresis.prandtl_ishlinskii import PlayModel
+from vo2_models.self_sensing.composite import CompositeSelfSensing, composite_step
+from vo2_models.self_sensing.polynomial import PolynomialSelfSensing, polynomial_step
+from vo2_models.self_sensing.scheme import SelfSensing
 from vo2_models.validation import finite_array
 
 from vo2_control.controller import LinearController, limited_step
 
-__all__ = [
-    "LoopResult",
-    "Sensing",
-    "composite_sensing",
-    "polynomial_sensing",
-    "run_loop",
-    "true_deflection_sensing",
-]
+__all__ = ["LoopResult", "run_loop"]
 
 Floats = NDArray[np.float64]
 
 _TRUTH, _POLYNOMIAL, _COMPOSITE = 0, 1, 2
+_NOTHING = np.zeros(0)
 _limited_step = njit(cache=True, error_model="numpy")(limited_step)
 
 
-@dataclass(frozen=True)
-class Sensing:
-    """How the loop estimates deflection; make it with one of the functions below.
-
-    Attributes
-    ----------
-    kind : which estimator
-    numbers : its parameters: polynomial in the scaled log10 of the resistance, or the packed inverse model
-    deflection : packed deflection model (composite)
-    state_r, state_d : memories to start from (composite)
-    """
-
-    kind: int
-    numbers: Floats = field(default_factory=lambda: np.zeros(1))
-    deflection: Floats = field(default_factory=lambda: np.zeros(7))
-    state_r: Floats = field(default_factory=lambda: np.zeros(1))
-    state_d: Floats = field(default_factory=lambda: np.zeros(1))
-
-
-def true_deflection_sensing() -> Sensing:
-    """The true deflection itself: what is left is the controller's own error."""
-    return Sensing(_TRUTH)
-
-
-def polynomial_sensing(resistance_ohm: ArrayLike, deflection_m: ArrayLike, degree: int = 9) -> Sensing:
-    """Deflection as a polynomial of log10 R (section 8.2), fitted by least squares; outside the fitted range clipped.
-
-    Parameters
-    ----------
-    resistance_ohm, deflection_m : (n,) a calibration through both branches
-    degree : 9 in section 8.2, 8 in section 7.3
-
-    Raises
-    ------
-    ValueError : fewer samples than coefficients, a resistance that is not positive.
-    """
-    resistance = finite_array(resistance_ohm, "resistance_ohm")
-    deflection = finite_array(deflection_m, "deflection_m", size=resistance.size)
-    if resistance.size <= degree or np.any(resistance <= 0):
-        raise ValueError(
-            f"resistance_ohm: found {resistance.size} samples, need more than {degree} positive ones"
-        )
-    z = np.log10(resistance)
-    centre, half = 0.5 * (z.max() + z.min()), 0.5 * (z.max() - z.min())
-    fit = np.polynomial.Polynomial.fit((z - centre) / half, deflection, degree, domain=[-1, 1])
-    return Sensing(_POLYNOMIAL, np.concatenate([[centre, half], fit.coef]))
-
-
-def composite_sensing(inverse: Floats, state_r: Floats, deflection: PlayModel, state_d: Floats) -> Sensing:
-    """Inverse resistance model to temperature, deflection model from there (section 7.2).
-
-    Parameters
-    ----------
-    inverse : packed inverse of the model of -log10 R over temperature, as `hysteresis.inverse_kernels` has it
-    state_r, state_d : memories of the two models
-    deflection : model of deflection [m] over temperature [degC]
-    """
-    return Sensing(_COMPOSITE, inverse, deflection.packed, state_r, state_d)
+def _packed(sensing: SelfSensing | None) -> tuple[int, Floats, Floats, Floats, Floats, Floats]:
+    """Kind, the two laws, scales, error bounds and memory of a scheme, as the compiled loop takes them."""
+    if sensing is None:
+        return _TRUTH, _NOTHING, _NOTHING, _NOTHING, _NOTHING, _NOTHING
+    if isinstance(sensing, PolynomialSelfSensing):
+        return _POLYNOMIAL, sensing.domain, sensing.coefficients, _NOTHING, sensing.table, _NOTHING
+    if isinstance(sensing, CompositeSelfSensing):
+        thermal = sensing._thermal
+        inverse, deflection = sensing._inverse.packed, sensing.deflection.packed
+        return _COMPOSITE, inverse, deflection, thermal, sensing.table, sensing.initial_state()
+    raise ValueError(
+        f"sensing: found {type(sensing).__name__}, need polynomial or composite self-sensing, or None"
+    )
 
 
 @dataclass(frozen=True)
@@ -119,25 +68,19 @@ class LoopResult:
 
 
 @njit(cache=True, error_model="numpy")
-def _estimate(kind, numbers, deflection, state_r, state_d, resistance, truth):
-    if kind == _TRUTH:
-        return truth
+def _estimate(kind, first, second, scales, table, memory, resistance, truth):
     if kind == _POLYNOMIAL:
-        z = (np.log10(resistance) - numbers[0]) / numbers[1]
-        z = min(max(z, -1.0), 1.0)
-        value = 0.0
-        for k in range(numbers.size - 1, 1, -1):
-            value = value * z + numbers[k]
-        return value
-    temperature, _ = invert_step(-np.log10(resistance), numbers, state_r)
-    return egpi_step(temperature, deflection, state_d)
+        return polynomial_step(resistance, first, second, table)[0]
+    if kind == _COMPOSITE:
+        return composite_step(resistance, first, second, scales, table, memory)[0]
+    return truth
 
 
 @njit(cache=True, error_model="numpy")
 def _run(
     kind, c, mode, packed_r, packed_d, poly_r, poly_d, levels, domains,
     x, play_r, play_d, metallic, line, sensors, sensor_lines,
-    sensing, numbers, deflection, state_r, state_d,
+    sensing, first, second, scales, table, memory,
     a, b, cc, d, conditioning, squared, lower, upper, most, state,
     reference, ahead, disturbance, normals, out,
 ):  # fmt: skip
@@ -150,7 +93,7 @@ def _run(
             kind, c, mode, packed_r, packed_d, poly_r, poly_d, levels, domains, x, play_r, play_d, metallic,
             line, sensors, sensor_lines, command, normals[k : k + 1], sample,
         )  # fmt: skip
-        estimate = _estimate(sensing, numbers, deflection, state_r, state_d, sample[0, 1], sample[0, 4])
+        estimate = _estimate(sensing, first, second, scales, table, memory, sample[0, 1], sample[0, 4])
         out[k, 0] = estimate
         out[k, 1] = sample[0, 4]
         out[k, 2] = current
@@ -162,7 +105,7 @@ def _run(
 
 def run_loop(
     device: Simulation,
-    sensing: Sensing,
+    sensing: SelfSensing | None,
     controller: LinearController,
     reference_m: ArrayLike,
     *,
@@ -177,7 +120,8 @@ def run_loop(
     Parameters
     ----------
     device : simulated device
-    sensing : estimator
+    sensing : self-sensing scheme, from its initial memory; None feeds the true deflection back, which leaves the
+        controller's own error
     controller : its memory before the first sample is used and left as it is
     reference_m : (n,) [m]
     disturbance_a : (n,) added to the current behind the controller [A]; None for none
@@ -208,7 +152,7 @@ def run_loop(
         device.kind, c, mode, device.packed_r, device.packed_d, device.poly_r, device.poly_d, device.levels,
         device.domains, memory.scalars, memory.play_r, memory.play_d, memory.metallic, memory.line,
         memory.sensors, memory.sensor_lines,
-        sensing.kind, sensing.numbers, sensing.deflection, sensing.state_r.copy(), sensing.state_d.copy(),
+        *_packed(sensing),
         law.a, law.b, law.c, law.d, law.conditioning, law.coordinate == "heating_power",
         limits.lower_a, limits.upper_a, limits.rate_a_per_s * period, controller.state,
         reference, ahead, disturbance, normals, out,

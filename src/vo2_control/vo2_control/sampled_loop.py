@@ -11,7 +11,7 @@ from vo2_models.validation import positive_number
 
 from vo2_control.controller import LinearLaw
 
-__all__ = ["Margins", "SampledPlant", "ThermalLag", "loop_margins"]
+__all__ = ["Margins", "SampledPlant", "ThermalLag", "closed_loop_radius", "loop_margins"]
 
 Array = NDArray[np.float64]
 
@@ -105,6 +105,17 @@ class Margins:
     crossover_rad_s: float
 
 
+def closed_loop_radius(law: LinearLaw, plant: SampledPlant) -> float:
+    """Largest magnitude of a pole of the sampled feedback loop; below 1 is stable."""
+    closed = np.block(
+        [
+            [plant.a + np.outer(plant.b, law.d[1] * plant.c), np.outer(plant.b, law.c)],
+            [np.outer(law.b[:, 1], plant.c), law.a],
+        ]
+    )
+    return float(np.abs(np.linalg.eigvals(closed)).max())
+
+
 def loop_margins(law: LinearLaw, plant: SampledPlant, *, points: int = 1500) -> Margins:
     """Return the margins of the sampled feedback loop of `law` around `plant`.
 
@@ -122,13 +133,7 @@ def loop_margins(law: LinearLaw, plant: SampledPlant, *, points: int = 1500) -> 
         raise ValueError(
             f"law: found a sample period of {law.sample_period_s:g} s, need the plant's {plant.sample_period_s:g} s"
         )
-    closed = np.block(
-        [
-            [plant.a + np.outer(plant.b, law.d[1] * plant.c), np.outer(plant.b, law.c)],
-            [np.outer(law.b[:, 1], plant.c), law.a],
-        ]
-    )
-    radius = float(np.abs(np.linalg.eigvals(closed)).max())
+    radius = closed_loop_radius(law, plant)
     angle = np.pi * np.logspace(-6, 0, points)
     loop = -_response(law.a, law.b[:, 1], law.c, float(law.d[1]), angle) * _response(
         plant.a, plant.b, plant.c, 0.0, angle
