@@ -15,9 +15,7 @@ from numba.extending import intrinsic
 __all__ = ["borrow"]
 
 
-@intrinsic
-def borrow(typingctx: Any, array: Any) -> Any:
-    """Return `array` (any dtype and shape) as a view that nobody counts."""
+def _borrow(typingctx: Any, array: Any) -> Any:
     if not isinstance(array, types.Array):
         return None
 
@@ -27,3 +25,7 @@ def borrow(typingctx: Any, array: Any) -> Any:
         return struct._getvalue()
 
     return array(array), codegen
+
+
+borrow: Any = intrinsic(_borrow)
+"""borrow(array): `array` (any dtype and shape) as a view that nobody counts; in compiled code only."""

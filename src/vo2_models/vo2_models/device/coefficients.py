@@ -51,11 +51,11 @@ class Coefficient(IntEnum):
     PHASE_LOSS = auto()  # 1
     LATENT = auto()  # K
     DRIFT_RATE = auto()  # K/s
-    DRIFT_AMPLITUDE = auto()  # K
-    DRIFT_PERIOD = auto()  # s
+    DRIFT_CURVATURE = auto()  # K/s^2
     LASER = auto()  # K: of the whole film, through the thermal dynamics
     LASER_FILM = auto()  # K: of the film above its stage, at once
     LASER_FROM = auto()  # s
+    LASER_UNTIL = auto()  # s
     SENSE = auto()  # K/ohm: self-heating through the thermal dynamics
     SENSE_FILM = auto()  # K/ohm: of the film above its stage
     # transitions
@@ -130,8 +130,8 @@ _NEUTRAL = {
     Coefficient.TIME_CONSTANT: 1.0,
     Coefficient.SLOW_TIME: 1.0,
     Coefficient.LASER_FROM: -HUGE,
+    Coefficient.LASER_UNTIL: HUGE,
     Coefficient.LOSS_EXPONENT: 2.0,
-    Coefficient.DRIFT_PERIOD: 1.0,
     Coefficient.TRAINING_EXCURSION: 2.0,
     Coefficient.RELAXATION_TIME: 1.0,
     Coefficient.REVERSIBLE_BAND: 1.0,

@@ -35,10 +35,12 @@ ERASE = 2.0
 @njit(cache=True, error_model="numpy")
 def ambient(c, time):
     """Ambient temperature [degC] at the time [s]."""
-    value = c[C.AMBIENT] + c[C.DRIFT_RATE] * time
-    if c[C.DRIFT_AMPLITUDE] != 0.0:
-        value += c[C.DRIFT_AMPLITUDE] * math.sin(2.0 * math.pi * time / c[C.DRIFT_PERIOD])
-    return value
+    return c[C.AMBIENT] + time * (c[C.DRIFT_RATE] + time * c[C.DRIFT_CURVATURE])
+
+
+@njit(cache=True, error_model="numpy")
+def _laser_on(c, time):
+    return c[C.LASER_FROM] <= time < c[C.LASER_UNTIL]
 
 
 @njit(cache=True, error_model="numpy")
@@ -106,12 +108,12 @@ def _fraction_at(
 def initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic):
     """Start from a long rest in the insulating phase at the ambient temperature; memory as given."""
     rest = ambient(c, 0.0)
-    if c[C.LASER_FROM] < 0.0:
+    if _laser_on(c, -c[C.SAMPLE_PERIOD]):
         rest += c[C.LASER]
+        x[S.SLOW] = c[C.LASER]
     x[S.FAST] = rest
-    x[S.SLOW] = c[C.LASER] if c[C.LASER_FROM] < 0.0 else 0.0
     x[S.STAGE] = rest
-    if c[C.LASER_FROM] < 0.0:
+    if _laser_on(c, -c[C.SAMPLE_PERIOD]):
         rest += c[C.LASER_FILM]
     x[S.FILM] = rest
     x[S.TURN] = rest
@@ -167,7 +169,7 @@ def _heat(c, x, current, h, time, background):
     joule = c[C.LINEAR_GAIN] * current + c[C.SQUARE_GAIN] * current * current
     pump = joule * c[C.HEATER_TCR] + c[C.PUMPING] * current
     drive = joule + c[C.SENSE] * x[S.RESISTANCE]
-    if time >= c[C.LASER_FROM]:
+    if _laser_on(c, time):
         drive += c[C.LASER]
     conductance = 1.0 + c[C.PHASE_LOSS] * x[S.FRACTION]
     bend = 0.0
@@ -247,7 +249,7 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
     background = ambient(c, time)
     heat = _heat(c, x, current, h, time, background) + x[S.CARRY]
     film_extra = c[C.SENSE_FILM] * x[S.RESISTANCE]
-    if time >= c[C.LASER_FROM]:
+    if _laser_on(c, time):
         film_extra += c[C.LASER_FILM]
     shift = c[C.TRAINING] * x[S.REVERSALS]
     follow = 1.0

@@ -41,7 +41,7 @@ class Effect:
     channels : channels it can reach; for a signal effect the signals it can sit on, of which it reaches one
     signal : whether it sits on one channel, named with "signal"
     presets : devices on which it can occur
-    typical : preset -> parameter -> range of clearly visible magnitudes, for demonstrations and tests
+    typical : preset, or "preset:signal", -> parameter -> range of clearly visible magnitudes, for demonstrations
     fixed : parameters that an excitation cannot separate from the others; a fit leaves them at their default
     equation : the added term
     excitation : what a recording must contain to show it
@@ -69,10 +69,27 @@ class Effect:
 
     def reaches(self, device: str, signal: str = "") -> tuple[str, ...]:
         """Return the channels the effect reaches on a device: the signal alone for a signal effect."""
+        return tuple(name for name in self.reaches_any(device) if not self.signal or name == signal)
+
+    def signals(self, device: str) -> tuple[str, ...]:
+        """Return the channels of a device that the effect can sit on; one empty name for an effect without signal."""
+        return tuple(self.reaches_any(device)) if self.signal else ("",)
+
+    def reaches_any(self, device: str) -> tuple[str, ...]:
+        """Return the channels of a device that the effect can reach with any signal."""
         from vo2_models.device.presets import preset
 
-        reached = (signal,) if self.signal else self.channels
-        return tuple(name for name in reached if name in preset(device).channels)
+        return tuple(name for name in self.channels if name in preset(device).channels)
+
+    def draw(self, device: str, rng: np.random.Generator) -> dict[str, float | str]:
+        """Draw a clearly visible instance (values log-uniform over `typical`), with its signal where it has one."""
+        signal = str(rng.choice(self.signals(device)))
+        ranges = self.typical.get(f"{device}:{signal}") or self.typical[device]
+        values: dict[str, float | str] = {
+            name: float(np.exp(rng.uniform(np.log(low), np.log(high))))
+            for name, (low, high) in ranges.items()
+        }
+        return {**values, "signal": signal} if signal else values
 
     def complete(self, values: Mapping[str, float | str]) -> tuple[dict[str, float], str]:
         """Return all parameter values, checked and filled up with neutral ones, and the signal.

@@ -1,0 +1,22 @@
+"""Leads and contacts in series with the film."""
+
+from vo2_models.device.coefficients import Coefficient
+from vo2_models.effects.record import Effect, constant_of, setting
+from vo2_models.recording import RESISTANCE
+
+EFFECT = Effect(
+    id="series_resistance",
+    stage="terminals",
+    parameters=(constant_of("resistance", 0, "ohm", "change of the resistance in series", -1e6, 1e6),),
+    apply=setting(resistance=Coefficient.SERIES),
+    channels=(RESISTANCE,),
+    typical={"integrated": {"resistance": (300.0, 1500.0)}, "peltier": {"resistance": (40.0, 200.0)}},
+    equation="R_measured = R + r",
+    excitation="the metallic plateau",
+    source="any text on two-terminal measurement",
+    statement=(
+        "A corroding contact or another cable adds a constant resistance. It is lost beside the large "
+        "insulating resistance and conspicuous beside the small metallic one, without any delay or loop of its"
+        " own."
+    ),
+)
