@@ -156,11 +156,11 @@ def _next_knot(v, end, direction, packed, block):
 
 
 @exact
-def search_side(direction, start, limit, u, tolerance, monotone, nearest, packed, state):
+def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, packed, state):
     """Look for f(v) = u from `start` to `limit` (direction 1 up, -1 down).
 
     Returns found, v, |f(v) - u|: the solution nearest to `start`; with `nearest` instead the input on this side
-    whose output is nearest to u (found is then False).
+    whose output is nearest to u (found is then False), or `best` itself where nothing comes closer than `best`.
     """
     n = int(packed[0])
     kind = int(packed[1])
@@ -197,7 +197,6 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, packed
     weight = 0.0
     curvature_g = 0.0
     active = 0
-    best = math.inf
     best_v = start
     a = start
     while True:
@@ -334,40 +333,33 @@ def solve(u, inverse, state):
     present = egpi_output(packed, state)
     if abs(present - u) <= tolerance:
         return now
+    offset = abs(present - u)
     if monotone:
-        if u > present:
-            _, v, _ = search_side(1, now, high, u, tolerance, True, False, packed, state)
-        else:
-            _, v, _ = search_side(-1, now, low, u, tolerance, True, False, packed, state)
-        return v
+        direction, limit = (1.0, high) if u > present else (-1.0, low)
+        return search_side(direction, now, limit, u, tolerance, True, False, offset, packed, state)[1]
     # a solution on the likelier side, searched first, bounds the search on the other one
-    bottom = low
-    top = high
-    found_down = False
-    down = now
-    if u < present:
-        found_down, down, _ = search_side(-1, now, low, u, tolerance, False, False, packed, state)
-        if found_down:
-            top = min(high, now + (now - down))
-    found_up, up, _ = search_side(1, now, top, u, tolerance, False, False, packed, state)
-    if u >= present:
-        if found_up:
-            bottom = max(low, now - (up - now))
-        found_down, down, _ = search_side(-1, now, bottom, u, tolerance, False, False, packed, state)
-    if found_up and found_down:
-        return up if up - now <= now - down else down
-    if found_up:
-        return up
-    if found_down:
-        return down
-    _, up, gap_up = search_side(1, now, high, u, tolerance, False, True, packed, state)
-    _, down, gap_down = search_side(-1, now, low, u, tolerance, False, True, packed, state)
-    best = abs(present - u)
-    if best <= min(gap_up, gap_down) + tolerance:
-        return now
-    if abs(gap_up - gap_down) <= tolerance:
-        return up if up - now <= now - down else down
-    return up if gap_up < gap_down else down
+    first = 1.0 if u > present else -1.0
+    near_limit, far_limit = (high, low) if u > present else (low, high)
+    found, v, gap = search_side(first, now, near_limit, u, tolerance, False, False, offset, packed, state)
+    if found:
+        mirrored = now - (v - now)
+        far_limit = max(far_limit, mirrored) if first > 0.0 else min(far_limit, mirrored)
+    found_other, other, gap_other = search_side(
+        -first, now, far_limit, u, tolerance, False, False, offset, packed, state
+    )
+    if found and found_other:
+        return v if abs(v - now) <= abs(other - now) else other
+    if found or found_other:
+        return v if found else other
+    # unreachable: the inputs looked at so far already bound how near an output can be
+    if gap_other < gap:
+        v, gap = other, gap_other
+    for k in range(2):
+        direction, limit = (first, near_limit) if k == 0 else (-first, far_limit)
+        _, trial, nearer = search_side(direction, now, limit, u, tolerance, False, True, gap, packed, state)
+        if nearer < gap:
+            v, gap = trial, nearer
+    return v
 
 
 @exact

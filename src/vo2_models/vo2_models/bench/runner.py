@@ -1,0 +1,119 @@
+"""Find the entries, run them, print a table, write the JSON file."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+import pkgutil
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from types import ModuleType
+
+from vo2_models.bench.entry import Entry, Figure
+
+__all__ = ["entries", "main", "select", "table"]
+
+_POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_FRAMEWORK = {"__main__", "entry", "runner", "timing"}
+
+
+def _modules(also: Iterable[str]) -> Iterable[ModuleType]:
+    package = importlib.import_module("vo2_models.bench")
+    for found in sorted(pkgutil.iter_modules(package.__path__), key=lambda module: module.name):
+        if found.name not in _FRAMEWORK:
+            yield importlib.import_module(f"vo2_models.bench.{found.name}")
+    for name in also:
+        try:
+            yield importlib.import_module(name)
+        except ImportError as error:
+            raise ValueError(
+                f"--also: found {name}, which cannot be imported ({error}); need a module with ENTRIES"
+            ) from error
+
+
+def entries(also: Iterable[str] = ()) -> dict[str, Entry]:
+    """Every entry of the modules beside this one and of the modules named, by name.
+
+    Raises
+    ------
+    ValueError : a module that cannot be imported or offers no ENTRIES, or a name used twice.
+    """
+    found: dict[str, Entry] = {}
+    for module in _modules(also):
+        if not hasattr(module, "ENTRIES"):
+            raise ValueError(f"{module.__name__}: found no ENTRIES, need a tuple of Entry")
+        for entry in module.ENTRIES:
+            if entry.name in found:
+                raise ValueError(
+                    f"{module.__name__}: found the name {entry.name} twice, need different names"
+                )
+            found[entry.name] = entry
+    return found
+
+
+def select(known: Mapping[str, Entry], names: Sequence[str]) -> list[Entry]:
+    """The entries named, all if none is; an unknown name is a `ValueError` that lists the known ones."""
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise ValueError(f"--only: found {', '.join(unknown)}, need some of {', '.join(known)}")
+    return [known[name] for name in names] if names else list(known.values())
+
+
+def table(entry: Entry, figure: Figure) -> str:
+    """One line of the table."""
+    yardstick = f"{figure.yardstick:.4g}" if figure.yardstick is not None else "-"
+    ratio = f"{figure.ratio:.2f}" if figure.ratio is not None else "-"
+    met = entry.met(figure)
+    verdict = {True: "met", False: "NOT MET", None: "-"}[met]
+    target = "-"
+    if entry.target is not None:
+        sign = ">=" if entry.above else "<="
+        target = f"{sign} {entry.target:g}" + (" x" if entry.of == "ratio" else f" {figure.unit}")
+    columns = f"{entry.name:<24}{figure.value:>12.4g} {figure.unit:<10}{yardstick:>10}{ratio:>8}  {target:<18}{verdict:<9}"
+    return (columns + figure.note).rstrip()
+
+
+def _options(arguments: Sequence[str]) -> tuple[Path | None, list[str], list[str]]:
+    """--json FILE, --only NAME ..., --also MODULE ... in any order."""
+    parser = argparse.ArgumentParser(
+        prog="bench", description="Speed figures against yardsticks of the same run."
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures to this file")
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="measure these entries only")
+    parser.add_argument(
+        "--also", nargs="+", default=[], metavar="MODULE", help="modules with further ENTRIES"
+    )
+    given = parser.parse_args(arguments)
+    return given.json, given.only, given.also
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmarks; 0 if they ran, 2 on unusable input with one line on standard error."""
+    target, only, also = _options(sys.argv[1:] if arguments is None else arguments)
+    # the figures are for a single thread: said before any numerical library starts its pool
+    os.environ.update(dict.fromkeys(_POOLS, "1"))
+    try:
+        chosen = select(entries(also), only)
+    except ValueError as error:
+        print(f"bench: {error}", file=sys.stderr)
+        return 2
+    head = f"{'name':<24}{'value':>12} {'unit':<10}{'yardstick':>10}{'ratio':>8}  {'target':<18}"
+    print(head.rstrip(), flush=True)
+    figures: dict[str, dict[str, float | str | None]] = {}
+    for entry in chosen:
+        figure = entry.run()
+        figures[entry.name] = figure.record()
+        print(table(entry, figure), flush=True)
+    if target is not None:
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        except OSError as error:
+            print(
+                f"bench: {target}: cannot be written ({error.strerror}); give another file", file=sys.stderr
+            )
+            return 2
+    return 0
