@@ -1,0 +1,243 @@
+"""The YAML map: which file, which rows, which column is which channel."""
+
+from __future__ import annotations
+
+import codecs
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from vo2_identification.conversion.units import CHANNEL_QUANTITIES, UNITS, Unit
+
+__all__ = ["ColumnMap", "Guard", "MapError", "Series", "Source", "read_map"]
+
+
+class MapError(ValueError):
+    """A map or a table that cannot be used; the message is one line that names the place and the remedy."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """One column: its name or number (from 1); SI value = unit of (scale * cell + offset)."""
+
+    column: str | int
+    unit: Unit
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Guard:
+    """Where a channel means something: where another channel lies within bounds, in SI units."""
+
+    channel: str
+    at_least: float
+    at_most: float
+
+
+@dataclass(frozen=True)
+class Series:
+    """One recording in a table: `time` is a column or a sampling rate [Hz]."""
+
+    name: str
+    time: Source | float
+    channels: Mapping[str, Source]
+    guards: Mapping[str, Guard]
+
+
+@dataclass(frozen=True)
+class ColumnMap:
+    """A map as read.
+
+    Attributes
+    ----------
+    path : where it was read from
+    description : what the recordings are, for people
+    files : pattern of the files it fits, for when a folder is converted
+    form : "csv" or "xlsx"
+    delimiter : of csv; "whitespace" for any blanks
+    encoding : of csv; a byte order mark is skipped
+    decimal : "." or ","
+    sheet : of xlsx; None for the first
+    header_row : row of the column names, from 1; 0 where there is none
+    first_row, last_row : rows of the samples, from 1; last_row 0 for the end
+    missing : cells that mean "no value", in lower case
+    device : preset or name of the device
+    series : the recordings in each table
+    """
+
+    path: Path
+    description: str
+    files: str
+    form: str
+    delimiter: str
+    encoding: str
+    decimal: str
+    sheet: str | None
+    header_row: int
+    first_row: int
+    last_row: int
+    missing: frozenset[str]
+    device: str
+    series: tuple[Series, ...]
+
+
+_TABLE_KEYS = {
+    "description": str,
+    "files": str,
+    "format": str,
+    "delimiter": str,
+    "encoding": str,
+    "decimal": str,
+    "sheet": str,
+    "header_row": int,
+    "first_row": int,
+    "last_row": int,
+    "missing": list,
+    "device": str,
+    "time": dict,
+    "channels": dict,
+    "series": dict,
+}
+_MISSING = ("", "nan", "na", "n/a", "null", "none", "-")
+_DELIMITERS = {"tab": "\t", "comma": ",", "semicolon": ";"}
+
+
+def read_map(path: Path) -> ColumnMap:
+    """Return the map of a YAML file.
+
+    Raises
+    ------
+    MapError : not readable, a key that is not known, a value that does not fit, a unit that is not the channel's.
+    """
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise MapError(f"map {path}: cannot be read ({' '.join(str(error).split())})") from error
+    where = f"map {path}"
+    table = _checked(document, _TABLE_KEYS, where)
+    form = table.get("format") or ("xlsx" if str(table.get("files", "")).endswith(".xlsx") else "csv")
+    _one_of(form, ("csv", "xlsx"), f"{where}: format")
+    header = table.get("header_row", 0)
+    decimal = table.get("decimal", ".")
+    _one_of(decimal, (".", ","), f"{where}: decimal")
+    encoding = table.get("encoding", "utf-8-sig")
+    try:
+        codecs.lookup(encoding)
+    except LookupError:
+        raise MapError(f"{where}: encoding: found {encoding!r}, which Python does not know") from None
+    delimiter = table.get("delimiter", ",")
+    delimiter = _DELIMITERS.get(delimiter, delimiter)
+    if delimiter != "whitespace" and len(delimiter) != 1:
+        raise MapError(f"{where}: delimiter: found {delimiter!r}, need one character, tab or whitespace")
+    if "series" in table and "channels" in table:
+        raise MapError(f"{where}: found series and channels, need one of them")
+    parts = table.get("series") or {"": {key: table[key] for key in ("time", "channels") if key in table}}
+    series = tuple(
+        _series(str(name), part, table.get("time"), f"{where}: series {name}" if name else where)
+        for name, part in parts.items()
+    )
+    return ColumnMap(
+        path=path,
+        description=table.get("description", ""),
+        files=table.get("files", "*.xlsx" if form == "xlsx" else "*.csv"),
+        form=form,
+        delimiter=delimiter,
+        encoding="utf-8-sig" if encoding.lower().replace("_", "-") in {"utf-8", "utf8"} else encoding,
+        decimal=decimal,
+        sheet=table.get("sheet"),
+        header_row=header,
+        first_row=table.get("first_row", header + 1),
+        last_row=table.get("last_row", 0),
+        missing=frozenset(str(text).lower() for text in table.get("missing", _MISSING)),
+        device=table.get("device", ""),
+        series=series,
+    )
+
+
+def _series(name: str, part: Any, common_time: Any, where: str) -> Series:
+    part = _checked(part, {"time": dict, "channels": dict}, where)
+    if not part.get("channels"):
+        raise MapError(f"{where}: found no channels, need at least one of {', '.join(CHANNEL_QUANTITIES)}")
+    channels, guards = {}, {}
+    for channel, entry in part["channels"].items():
+        place = f"{where}: channel {channel}"
+        if channel not in CHANNEL_QUANTITIES:
+            raise MapError(f"{place}: not a channel, need one of {', '.join(CHANNEL_QUANTITIES)}")
+        channels[channel] = _source(entry, CHANNEL_QUANTITIES[channel], place)
+        if "valid_where" in entry:
+            guards[channel] = _guard(entry["valid_where"], f"{place}: valid_where")
+    for channel, guard in guards.items():
+        if guard.channel not in channels:
+            raise MapError(f"{where}: channel {channel}: valid_where: {guard.channel} is not in this map")
+    return Series(name, _time(part.get("time", common_time), where), channels, guards)
+
+
+def _time(entry: Any, where: str) -> Source | float:
+    if not isinstance(entry, dict) or ("rate_hz" in entry) == ("column" in entry):
+        raise MapError(f"{where}: time: found {entry!r}, need either a column (with unit) or rate_hz")
+    if "column" in entry:
+        return _source(entry, "time", f"{where}: time")
+    rate = _checked(entry, {"rate_hz": float}, f"{where}: time")["rate_hz"]
+    if not rate > 0:
+        raise MapError(f"{where}: time: rate_hz: found {rate!r}, need a number above 0")
+    return float(rate)
+
+
+def _source(entry: Any, quantity: str, where: str) -> Source:
+    keys = {"column": (str, int), "unit": (str, int), "scale": float, "offset": float, "valid_where": dict}
+    entry = _checked(entry, keys, where)
+    fitting = ", ".join(name for name, unit in UNITS.items() if unit.quantity == quantity)
+    for key in ("column", "unit"):
+        if key not in entry:
+            raise MapError(f"{where}: found no {key}, need one" + (f" of {fitting}" if key == "unit" else ""))
+    unit = UNITS.get(str(entry["unit"]))
+    if unit is None or unit.quantity != quantity:
+        raise MapError(f"{where}: unit: found {entry['unit']!r}, need a unit of {quantity}: {fitting}")
+    column = entry["column"]
+    if isinstance(column, int) and column < 1:
+        raise MapError(f"{where}: column: found {column}, need a number from 1, or a name")
+    return Source(column, unit, float(entry.get("scale", 1.0)), float(entry.get("offset", 0.0)))
+
+
+def _guard(entry: Any, where: str) -> Guard:
+    entry = _checked(entry, {"channel": str, "at_least": float, "at_most": float}, where)
+    if "channel" not in entry or len(entry) < 2:
+        raise MapError(f"{where}: found {entry!r}, need a channel and at_least, at_most or both")
+    return Guard(entry["channel"], float(entry.get("at_least", "-inf")), float(entry.get("at_most", "inf")))
+
+
+def _checked(document: Any, keys: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return `document` if it is a mapping of known keys with values of their types."""
+    if not isinstance(document, dict):
+        raise MapError(f"{where}: found {type(document).__name__}, need keys and values: {', '.join(keys)}")
+    result = {}
+    for key, value in document.items():
+        if key not in keys:
+            raise MapError(
+                f"{where}: found the key {key!r}, which means nothing here; known are {', '.join(keys)}"
+            )
+        kinds = keys[key] if isinstance(keys[key], tuple) else (keys[key],)
+        if kinds == (float,) and isinstance(value, str):
+            value = _number(value)  # YAML 1.1 takes 1e-6, without a point, for a text
+        allowed = (*kinds, int) if float in kinds else kinds
+        if not isinstance(value, allowed) or isinstance(value, bool):
+            wanted = " or ".join(kind.__name__ for kind in kinds)
+            raise MapError(f"{where}: {key}: found {value!r}, need {wanted}")
+        result[key] = value
+    return result
+
+
+def _number(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _one_of(value: str, allowed: tuple[str, ...], where: str) -> None:
+    if value not in allowed:
+        raise MapError(f"{where}: found {value!r}, need {' or '.join(allowed)}")

@@ -1,0 +1,182 @@
+"""From table and map to recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from vo2_models.recording import Recording
+
+from vo2_identification.bags.joint_state import Samples
+from vo2_identification.bags.problems import Problem, limited
+from vo2_identification.bags.stamps import find_gaps, increasing_samples
+from vo2_identification.conversion.column_map import ColumnMap, MapError, Series, Source
+from vo2_identification.conversion.tables import Table, read_table
+
+__all__ = ["Converted", "convert_file", "files_of"]
+
+
+@dataclass(frozen=True)
+class Converted:
+    """One recording: `name` from the file and, where a table holds several, the series."""
+
+    name: str
+    recording: Recording
+    problems: list[Problem]
+
+
+def files_of(source: Path, column_map: ColumnMap) -> list[Path]:
+    """Return the file, or the files of a folder that the map's pattern fits.
+
+    Raises
+    ------
+    MapError : nothing there.
+    """
+    if source.is_dir():
+        found = sorted(source.glob(column_map.files))
+        if not found:
+            raise MapError(f"{source}: found no file {column_map.files} in it, need one; or name a file")
+        return found
+    if not source.exists():
+        raise MapError(f"{source}: found nothing there, need a file or a folder")
+    return [source]
+
+
+def convert_file(path: Path, column_map: ColumnMap, *, only: str | None = None) -> list[Converted]:
+    """Return the recordings of one file.
+
+    A cell without a value becomes NaN and is reported; so is a row without a time, which is left out.
+
+    Parameters
+    ----------
+    only : name of the one series wanted
+
+    Raises
+    ------
+    MapError : a cell that is no number, a column or sheet or series that is not there.
+    """
+    series = [one for one in column_map.series if only is None or one.name == only]
+    if not series:
+        names = ", ".join(one.name for one in column_map.series if one.name) or "none"
+        raise MapError(f"map {column_map.path}: found no series {only!r}, the map has {names}")
+    table = read_table(path, column_map)
+    return [
+        _convert(table, one, column_map, f"{path.stem}_{one.name}" if one.name else path.stem)
+        for one in series
+    ]
+
+
+def _convert(table: Table, series: Series, column_map: ColumnMap, name: str) -> Converted:
+    problems: list[Problem] = []
+    columns = {channel: _values(table, source, column_map) for channel, source in series.channels.items()}
+    rows = np.array([number for number, _ in table.rows])
+    if isinstance(series.time, float):
+        time_s = np.arange(rows.size) / series.time
+        timeless = np.zeros(rows.size, np.bool_)
+    else:
+        time_s = _values(table, series.time, column_map)
+        timeless = np.isnan(time_s)
+    # a series shorter than its neighbours in the table has empty cells below it: they belong to no recording
+    empty = np.all([np.isnan(values) for values in columns.values()], axis=0)
+    filled = np.flatnonzero(~(empty & timeless) if timeless.any() else ~empty)
+    stop = int(filled[-1]) + 1 if filled.size else 0
+    if not stop:
+        raise MapError(f"{table.path}: found no value in the columns of the map, need some")
+    for k in np.flatnonzero(timeless[:stop]):
+        problems.append(Problem("malformed", table.path, f"row {rows[k]} has no time and is left out"))
+    keep = np.flatnonzero(~timeless[:stop])
+    stamp_ns = np.rint(time_s[keep] * 1e9).astype(np.int64)
+    if stamp_ns.size and stamp_ns.min() < 0:
+        problems.append(
+            Problem(
+                "negative_time",
+                table.path,
+                f"times begin at {stamp_ns.min() / 1e9:g} s, shifted to begin at 0",
+            )
+        )
+        stamp_ns = stamp_ns - stamp_ns.min()
+    values = {channel: column[keep] for channel, column in columns.items()}
+    present = {channel: np.ones(keep.size, np.bool_) for channel in values}
+    samples = Samples(stamp_ns, values, present, {}, [])
+    index, disorder = increasing_samples(table.path, samples)
+    rows = rows[keep]
+    problems.extend(_by_row(disorder, rows))
+    stamp_ns, rows = stamp_ns[index], rows[index]
+    values = {channel: column[index] for channel, column in values.items()}
+    for channel, column in values.items():
+        problems.extend(_missing(table.path, channel, column, stamp_ns, rows))
+    for channel, guard in series.guards.items():
+        judge = values[guard.channel]
+        outside = ~((judge >= guard.at_least) & (judge <= guard.at_most)) & ~np.isnan(values[channel])
+        values[channel] = np.where(outside, np.nan, values[channel])
+        if outside.any():
+            first = int(np.flatnonzero(outside)[0])
+            text = f"{channel} means nothing in {outside.sum()} rows, where {guard.channel} is outside the map's bounds"
+            problems.append(
+                Problem("nan", table.path, f"{text}; first row {rows[first]}", stamp_ns[first] / 1e9)
+            )
+    problems.extend(_by_row(find_gaps(table.path, stamp_ns, np.arange(rows.size)), rows))
+    return Converted(name, Recording(stamp_ns / 1e9, values, column_map.device), problems)
+
+
+def _values(table: Table, source: Source, column_map: ColumnMap) -> NDArray[np.float64]:
+    """Return a column in SI units, NaN where a cell has no value."""
+    place = table.column(source.column)
+    number = _number_reader(column_map)
+    values = np.full(len(table.rows), np.nan)
+    for k, (row, cells) in enumerate(table.rows):
+        cell = cells[place] if place < len(cells) else None
+        try:
+            values[k] = number(cell)
+        except (TypeError, ValueError):
+            raise MapError(
+                f"{table.path}: row {row}, column {source.column!r}: found {cell!r}, need a number; list it under "
+                "missing in the map if it means that there is no value"
+            ) from None
+    return source.unit.factor * (source.scale * values + source.offset) + source.unit.offset
+
+
+def _by_row(problems: list[Problem], rows: NDArray[np.int64]) -> list[Problem]:
+    """Return the problems with row numbers of the table in place of sample numbers."""
+    return [
+        problem
+        if problem.index is None
+        else replace(problem, text=f"row {rows[problem.index]}: {problem.text}", index=None)
+        for problem in problems
+    ]
+
+
+def _number_reader(column_map: ColumnMap) -> Callable[[Any], float]:
+    missing, comma = column_map.missing, column_map.decimal == ","
+
+    def number(cell: Any) -> float:
+        if cell is None:
+            return np.nan
+        if isinstance(cell, str):
+            text = cell.strip()
+            if text.lower() in missing:
+                return np.nan
+            return float(text.replace(",", ".") if comma else text)
+        return float(cell)
+
+    return number
+
+
+def _missing(
+    path: str,
+    channel: str,
+    column: NDArray[np.float64],
+    stamp_ns: NDArray[np.int64],
+    rows: NDArray[np.int64],
+) -> list[Problem]:
+    bad = np.flatnonzero(~np.isfinite(column))
+    return limited(
+        [
+            Problem("nan", path, f"row {rows[k]}: {channel} has no value, kept as NaN", stamp_ns[k] / 1e9)
+            for k in bad
+        ]
+    )

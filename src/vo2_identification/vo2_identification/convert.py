@@ -1,0 +1,117 @@
+"""`convert`: a rig's own CSV or XLSX becomes a rosbag2 bag."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from vo2_models.recording import Recording
+
+__all__ = ["main", "shipped_maps"]
+
+_DESCRIPTION = """
+Make rosbag2 bags of a rig's own tables. A YAML map says which column is which channel, in which unit, and how the
+samples lie in time; the maps that come with this package are examples to copy. Each recording becomes a bag with
+one /vo2/measurement message per row.
+"""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit status: 0, 2 on bad input."""
+    options = _parser().parse_args(args)
+    if options.list:
+        for name, path in shipped_maps().items():
+            print(f"{name}: {path}")
+        return 0
+    if not (options.map and options.input and options.output):
+        return _refuse("--map, --input and --output are needed; see --help")
+    from vo2_identification.bags import BagError, write_bag
+    from vo2_identification.conversion.column_map import MapError, read_map
+    from vo2_identification.conversion.converting import convert_file, files_of
+
+    try:
+        column_map = read_map(_map_path(options.map))
+        files = files_of(options.input, column_map)
+        several = len(files) * (1 if options.only else len(column_map.series)) > 1
+        if options.output.exists() and not several:
+            raise BagError(f"{options.output}: exists already, need the name of a new bag")
+        for file in files:
+            for converted in convert_file(file, column_map, only=options.only):
+                path = options.output / converted.name if several else options.output
+                write_bag(path, converted.recording, storage=options.storage, namespace=options.namespace)
+                for problem in converted.problems:
+                    print(f"convert: {problem}", file=sys.stderr)
+                print(_line(converted.recording, path), flush=True)
+    except (BagError, MapError) as error:
+        return _refuse(str(error))
+    except OSError as error:
+        return _refuse(f"{options.output}: cannot be written ({error.strerror or error})")
+    return 0
+
+
+def shipped_maps() -> dict[str, Path]:
+    """Return the maps that are installed with this package: name -> file."""
+    folder = Path(__file__).resolve().parents[1] / "config"  # beside the package in the source tree
+    if not folder.is_dir():
+        from ament_index_python.packages import get_package_share_directory
+
+        folder = Path(get_package_share_directory("vo2_identification"), "config")
+    return {path.stem.removeprefix("convert_"): path for path in sorted(folder.glob("convert_*.yaml"))}
+
+
+def _map_path(name: str) -> Path:
+    if not name.endswith((".yaml", ".yml")) and (shipped := shipped_maps()):
+        if name in shipped:
+            return shipped[name]
+        if not Path(name).exists():
+            from vo2_identification.conversion.column_map import MapError
+
+            raise MapError(
+                f"map {name}: found no such file, nor a shipped map of this name: {', '.join(shipped)}"
+            )
+    return Path(name)
+
+
+def _line(recording: Recording, path: Path) -> str:
+    ranges = ", ".join(
+        f"{name} {np.nanmin(values):.6g} to {np.nanmax(values):.6g}"
+        if np.isfinite(values).any()
+        else f"{name} NaN"
+        for name, values in recording.channels.items()
+    )
+    span = recording.time_s[-1] - recording.time_s[0]
+    return f"{len(recording)} samples over {span:.6g} s ({ranges}). The bag: {path}"
+
+
+def _refuse(text: str) -> int:
+    print(f"convert: {text}", file=sys.stderr)
+    return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="convert", description=_DESCRIPTION, allow_abbrev=False)
+    parser.add_argument("--map", help="YAML map, or the name of one that is shipped (see --list).")
+    parser.add_argument(
+        "--input", type=Path, help="The table; or a folder, of which all files that fit are taken."
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        help="Folder of the new bag. Of several recordings each gets a folder in it, named after file and series.",
+    )
+    parser.add_argument(
+        "--only", metavar="SERIES", help="Take only this series of a table that holds several."
+    )
+    parser.add_argument("--namespace", default="/vo2", help="Namespace of the topic. Default: /vo2.")
+    parser.add_argument(
+        "--storage", choices=["mcap", "sqlite3"], default="mcap", help="Storage of the bag. Default: mcap."
+    )
+    parser.add_argument("--list", action="store_true", help="List the maps that are shipped and stop.")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
