@@ -34,6 +34,8 @@ _HOME = {
     "FixedPointInverse": "inverse_fixed_point",
     "convergence_condition": "inverse_fixed_point",
     "RobustInverse": "inverse_robust",
+    "compress": "compression_gpi",
+    "partition": "compression_gpi",
 }
 __all__ = sorted(_HOME)
 

@@ -1,0 +1,230 @@
+"""Entropy-optimal compression of a play model: fewer plays, the same weight distribution (chapter 3).
+
+A partition cuts the N plays into M groups of neighbours; each group becomes one play at its weighted mean radius with
+its total weight, (3.1). What a group loses is
+
+    E_k = T_k sqrt( sum_i (pbar_i (r_i - rhat_k))^2 ) H_k,      pbar_i = p_i / T_k,
+
+its total weight, times the spread of its radii, times the entropy H_k of its normalised weights. (Step 4 of section 3.3
+can be read with the root over H_k as well; this reading, on scaled weights with r_j = j / (N + 1), gives the published
+partitions, the other does not.) The sum or the largest of the losses is minimised exactly by dynamic programming,
+Proposition 1, with O(1) work per group and O(N M) memory.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from vo2_models.hysteresis.prandtl_ishlinskii import PlayModel
+from vo2_models.validation import finite_array, increasing, nonnegative
+
+__all__ = ["Compression", "CompressionResult", "compress", "group_loss", "partition", "scaling"]
+
+FloatArray = NDArray[np.float64]
+Criterion = Literal["sum", "max"]
+
+
+@njit(cache=True, error_model="numpy")
+def _losses_ending_at(end, radii, weights, losses):
+    """losses[start] = E of the group radii[start:end], for every start < end.
+
+    The group grows from its last play downwards, and moments are taken about the play last added to
+    it, so that a light group next to a heavy one keeps its digits.
+    """
+    total = 0.0
+    moment = 0.0
+    entropy_sum = 0.0
+    square0 = 0.0
+    square1 = 0.0
+    square2 = 0.0
+    for start in range(end - 1, -1, -1):
+        p = weights[start]
+        if start < end - 1:
+            # move the origin of the moments from the play above to this one
+            d = radii[start + 1] - radii[start]
+            moment += total * d
+            square2 += 2.0 * d * square1 + d * d * square0
+            square1 += d * square0
+        if p > 0.0:
+            total += p
+            entropy_sum += p * math.log(p)
+            square0 += p * p
+        if total > 0.0:
+            mean = moment / total
+            spread = max(square2 - 2.0 * mean * square1 + mean * mean * square0, 0.0)
+            entropy = max(math.log(total) - entropy_sum / total, 0.0)
+            losses[start] = math.sqrt(spread) * entropy
+        else:
+            losses[start] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _dynamic_programme(radii, weights, groups, largest):
+    """Cuts (groups + 1,) of the partition of least total (or least largest) loss."""
+    n = radii.size
+    value = np.full((groups + 1, n + 1), np.inf)
+    origin = np.zeros((groups + 1, n + 1), dtype=np.int32)
+    value[0, 0] = 0.0
+    losses = np.empty(n)
+    for end in range(1, n + 1):
+        _losses_ending_at(end, radii, weights, losses)
+        for k in range(1, min(groups, end) + 1):
+            if k == groups and end < n:
+                break
+            best = np.inf
+            at = k - 1
+            for start in range(k - 1, end):
+                before = value[k - 1, start]
+                cost = max(before, losses[start]) if largest else before + losses[start]
+                if cost < best:
+                    best = cost
+                    at = start
+            value[k, end] = best
+            origin[k, end] = at
+    cuts = np.empty(groups + 1, dtype=np.int64)
+    cuts[groups] = n
+    for k in range(groups, 0, -1):
+        cuts[k - 1] = origin[k, cuts[k]]
+    return cuts, value[groups, n]
+
+
+def group_loss(radii: ArrayLike, weights: ArrayLike) -> float:
+    """Loss E of replacing these plays by one, written from the equation (0 for a single play).
+
+    >>> bool(group_loss([0.0, 1.0], [1.0, 1.0]) == 2 * (2 * 0.25**2) ** 0.5 * np.log(2))
+    True
+    """
+    r, p = finite_array(radii, "radii"), nonnegative(finite_array(weights, "weights"), "weights")
+    total = float(np.sum(p))
+    if total == 0:
+        return 0.0
+    share = p / total
+    centre = float(np.sum(share * r))
+    present = share[share > 0]
+    entropy = -float(np.sum(present * np.log(present)))
+    return total * math.sqrt(float(np.sum((share * (r - centre)) ** 2))) * entropy
+
+
+class CompressionResult(NamedTuple):
+    """A partition: `cuts` (M + 1,) indices 0 = beta_0 < ... < beta_M = N, and the criterion's value."""
+
+    cuts: NDArray[np.int64]
+    loss: float
+
+
+def partition(
+    radii: ArrayLike, weights: ArrayLike, groups: int, *, criterion: Criterion = "sum"
+) -> CompressionResult:
+    """Return the optimal partition of a weight distribution, (3.9) or (3.10).
+
+    Parameters
+    ----------
+    radii : (N,) strictly increasing, >= 0
+    weights : (N,) >= 0, scaled or not
+    groups : M, 1 to N
+    criterion : "sum" (Entropy Sum) or "max" (Entropy Max)
+
+    Raises
+    ------
+    ValueError : radii or weights not as above, or a number of groups outside 1 to N.
+
+    Examples
+    --------
+    The one-peak case of Table 3.3:
+
+    >>> j = np.arange(1, 31)
+    >>> partition(j / 31, 5 / np.sqrt(2 * np.pi) * np.exp(-((j - 15) ** 2) / 15), 6).cuts.tolist()
+    [0, 11, 13, 14, 16, 18, 30]
+    """
+    r = increasing(nonnegative(finite_array(radii, "radii"), "radii"), "radii")
+    p = nonnegative(finite_array(weights, "weights", size=r.size), "weights")
+    if int(groups) != groups or not 1 <= groups <= r.size:
+        raise ValueError(
+            f"groups: found {groups}, need a whole number from 1 to {r.size}, the number of plays"
+        )
+    if criterion not in ("sum", "max"):
+        raise ValueError(f"criterion: found {criterion!r}, need 'sum' or 'max'")
+    cuts, loss = _dynamic_programme(r, p, int(groups), criterion == "max")
+    return CompressionResult(cuts, float(loss))
+
+
+def scaling(model: PlayModel, radii: ArrayLike, input_range: tuple[float, float]) -> FloatArray:
+    """Half the output range of plays of these radii, (gamma_R(v_max) - gamma_L(v_min) - 2 r) / 2, (3.11).
+
+    Not below zero: a play whose radius exceeds what the envelopes span never moves.
+    """
+    low, high = finite_array(input_range, "input_range", size=2)
+    if not low < high:
+        raise ValueError(f"input_range: found ({low:g}, {high:g}), need lower < upper")
+    span = float(model.envelopes.rising(high)) - float(model.envelopes.falling(low))
+    return np.maximum(span - 2 * finite_array(radii, "radii"), 0.0) / 2
+
+
+@dataclass(frozen=True)
+class Compression:
+    """A compressed model, the partition it came from, and the criterion's value."""
+
+    model: PlayModel
+    cuts: NDArray[np.int64]
+    loss: float
+
+
+def compress(
+    model: PlayModel,
+    plays: int,
+    *,
+    criterion: Criterion = "sum",
+    scaled: bool = True,
+    input_range: tuple[float, float] | None = None,
+) -> Compression:
+    """Return the model with fewer plays that keeps the weight distribution best.
+
+    With scaled weights (3.11) each group keeps the output its plays span together, and the bias takes up the
+    shift of the loop's centre that this leaves; envelopes and memoryless part stay.
+
+    Parameters
+    ----------
+    model : CPI, GPI or EGPI with shared envelopes, strictly increasing radii and weights >= 0
+    plays : M, number of plays to keep
+    criterion : "sum" (Entropy Sum) or "max" (Entropy Max)
+    scaled : weigh each play by the output range it has over the inputs
+    input_range : inputs in use, for the scaling; None takes the model's
+
+    Raises
+    ------
+    ValueError : one envelope pair per play, weights below zero, equal radii, or no input range where one is needed.
+    """
+    if model.envelopes.plays is not None:
+        raise ValueError("model: found one envelope pair per play, need a shared pair to compress")
+    radii, weights = model.radii, model.weights
+    limits = input_range if input_range is not None else model.input_range
+    if scaled:
+        if limits is None:
+            raise ValueError(
+                "input_range: found none, need (low, high) here or in the model to scale the weights"
+            )
+        reach = scaling(model, radii, limits)
+    else:
+        reach = np.ones(radii.size)
+    cuts, loss = partition(radii, weights * reach, plays, criterion=criterion)
+    new_radii, new_weights = np.empty(plays), np.empty(plays)
+    for k, (start, end) in enumerate(pairwise(cuts)):
+        group = slice(int(start), int(end))
+        share = weights[group] * reach[group]
+        total = float(share.sum())
+        new_radii[k] = share @ radii[group] / total if total > 0 else radii[group].mean()
+        at = float(scaling(model, new_radii[k : k + 1], limits)[0]) if scaled and limits is not None else 1.0
+        new_weights[k] = total / at if at > 0 else weights[group].sum()
+    bias = model.bias
+    if scaled and limits is not None:
+        ends = float(model.envelopes.rising(limits[1])) + float(model.envelopes.falling(limits[0]))
+        bias += (float(weights.sum()) - float(new_weights.sum())) * ends / 2
+    smaller = replace(model, radii=new_radii, weights=new_weights, bias=bias)  # type: ignore[type-var]
+    return Compression(smaller, cuts, loss)
