@@ -39,8 +39,9 @@ def test_published_uniform_case():
 
 
 def test_published_one_peak_case():
-    """Table 3.3, Entropy Sum."""
+    """Table 3.3."""
     assert partition(RADII, ONE_PEAK, 6).cuts.tolist() == [0, 11, 13, 14, 16, 18, 30]
+    assert partition(RADII, ONE_PEAK, 6, criterion="max").cuts.tolist() == [0, 9, 12, 14, 16, 18, 30]
 
 
 @pytest.mark.parametrize("weights", [ONE_PEAK, TWO_PEAKS])
