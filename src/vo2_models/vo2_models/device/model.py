@@ -189,10 +189,16 @@ class DeviceModel:
         ).with_effects(self.effects)
 
     def simulate(
-        self, current: ArrayLike, *, dt: float | None = None, seed: int = 0, noise: bool = True
+        self,
+        current: ArrayLike,
+        *,
+        dt: float | None = None,
+        seed: int = 0,
+        noise: bool = True,
+        settled: bool = False,
     ) -> Recording:
-        """Run the model from its long rest on a commanded current (n,) [A]; as `Simulation.simulate`."""
-        return self.simulation.simulate(current, dt=dt, seed=seed, noise=noise)
+        """Run the model on a commanded current (n,) [A]; as `Simulation.simulate`."""
+        return self.simulation.simulate(current, dt=dt, seed=seed, noise=noise, settled=settled)
 
     def stepper(self, *, dt: float | None = None, seed: int = 0, noise: bool = True) -> Stepper:
         """Return the model as a stream, bit-identical to `simulate` with the same arguments."""
@@ -217,7 +223,9 @@ class DeviceModel:
             head = f"model.effects.{record.id}.{signal}" if signal else f"model.effects.{record.id}"
             flat |= {f"{head}.{name}": value for name, value in complete.items()}
         flat |= {f"model.uncertainty.{name}": list(std) for name, std in self.uncertainty.items()}
-        return {name: value for name, value in flat.items() if value != []}
+        return {
+            name: _plain(value) for name, value in flat.items() if not (isinstance(value, list) and not value)
+        }
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, Value]) -> DeviceModel:
@@ -265,6 +273,13 @@ class DeviceModel:
 
 def _tuple(value: Value | None) -> float | tuple[float, ...]:
     return tuple(value) if isinstance(value, list | tuple) else float(value)  # type: ignore[arg-type]
+
+
+def _plain(value: Value) -> Value:
+    """Turn numpy numbers into plain ones, as a model file holds them."""
+    if isinstance(value, list):
+        return [float(v) for v in value]
+    return value if isinstance(value, str) else float(value)
 
 
 def _open(span: tuple[float, float]) -> tuple[float, float]:

@@ -137,6 +137,19 @@ class Simulation:
             sensor_lines=np.zeros((len(CHANNELS), SENSOR_LINE)),
         )
 
+    def settled_state(self, current: float, dt: float) -> ChainState:
+        """Return the memory of a device that was brought up from its cold rest and then held at a current [A] for long."""
+        state = self.initial_state()
+        longest = max(self.coefficients[Coefficient.TIME_CONSTANT] * 15.0, 20.0 * dt)
+        count = int(min((longest + self.coefficients[Coefficient.DEAD_TIME]) / dt, 50_000))
+        last = self.run(np.full(count, float(current)), dt=dt, state=state)[-1]
+        x = state.scalars
+        x[Slot.SAMPLE] = 0.0
+        x[Slot.REVERSALS] = 0.0
+        state.line[:] = x[Slot.CURRENT]
+        state.sensor_lines[:] = last[: len(CHANNELS), None]
+        return state
+
     def run(
         self,
         current: Floats,
@@ -166,9 +179,15 @@ class Simulation:
         )  # fmt: skip
 
     def simulate(
-        self, current: ArrayLike, *, dt: float | None = None, seed: int = 0, noise: bool = True
+        self,
+        current: ArrayLike,
+        *,
+        dt: float | None = None,
+        seed: int = 0,
+        noise: bool = True,
+        settled: bool = False,
     ) -> Recording:
-        """Run the device from its long rest on a commanded current.
+        """Run the device on a commanded current, from its long cold rest.
 
         Parameters
         ----------
@@ -176,6 +195,7 @@ class Simulation:
         dt : sample period [s], None for the preset's
         seed : of the measurement noise
         noise : whether the sensors add noise
+        settled : start from rest at the first current instead
 
         Returns
         -------
@@ -186,7 +206,8 @@ class Simulation:
         command = finite_array(current, "current")
         period = nominal.sample_period if dt is None else positive_number(dt, "dt")
         normals = white_noise(seed, command.size) if noise else None
-        out = self.run(command, dt=period, normals=normals)
+        state = self.settled_state(command[0], period) if settled and command.size else None
+        out = self.run(command, dt=period, normals=normals, state=state)
         channels = {COMMANDED_CURRENT: command}
         channels |= {name: out[:, k] for k, name in enumerate(CHANNELS) if name in nominal.channels}
         inner = {TRUE_DEFLECTION: out[:, 4], FILM_TEMPERATURE: out[:, 5], TRUE_RESISTANCE: out[:, 6]}
