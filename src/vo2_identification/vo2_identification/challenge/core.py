@@ -172,26 +172,30 @@ def _core(
         a = ambient[k]
         args = (power, a, tau, slow_m, terms.cooling_ratio, terms.loss_beta, terms.loss_power,
                 terms.loss_phase, tcr, squared, pump)  # fmt: skip
-        k1 = _rate(t1, *args)
-        k2 = _rate(t1 + step / 2 * k1, *args)
-        k3 = _rate(t1 + step / 2 * k2, *args)
-        k4 = _rate(t1 + step * k3, *args)
-        heat = step / 6 * (k1 + 2 * k2 + 2 * k3 + k4) + owed
-        owed = 0.0
         if terms.slow_gain != 0.0:
             fade = np.exp(-step / terms.slow_time)
             t2 = fade * t2 + (1 - fade) * terms.slow_gain * power
         shift_m = t2 + local[k] - terms.training * reversals + terms.feedback * (slow_m - 0.5)
-        if terms.latent != 0.0 and not kinetic:
-            t1, fraction_m, owed = _stefan(
-                t1, heat, shift_m, terms.latent, state_m, place_m, up_m, up_m_grain, down_m, down_m_grain,
-                weight, fraction_m,
-            )  # fmt: skip
-        else:
-            t1 += heat
-            fraction_m = _set_level(
-                t1 + shift_m, state_m, place_m, up_m, up_m_grain, down_m, down_m_grain, weight, fraction_m
-            )
+        # Runge-Kutta does not see the grains stop the temperature within a step: shorter ones with latent heat
+        inner = 4 if terms.latent != 0.0 and not kinetic else 1
+        h = step / inner
+        for _ in range(inner):
+            k1 = _rate(t1, *args)
+            k2 = _rate(t1 + h / 2 * k1, *args)
+            k3 = _rate(t1 + h / 2 * k2, *args)
+            k4 = _rate(t1 + h * k3, *args)
+            heat = h / 6 * (k1 + 2 * k2 + 2 * k3 + k4) + owed
+            owed = 0.0
+            if inner > 1:
+                t1, fraction_m, owed = _stefan(
+                    t1, heat, shift_m, terms.latent, state_m, place_m, up_m, up_m_grain, down_m, down_m_grain,
+                    weight, fraction_m,
+                )  # fmt: skip
+            else:
+                t1 += heat
+                fraction_m = _set_level(
+                    t1 + shift_m, state_m, place_m, up_m, up_m_grain, down_m, down_m_grain, weight, fraction_m
+                )
         shift_s = (
             t2 + local[k] - terms.training * reversals + terms.structure_offset
             + terms.feedback * (slow_s - 0.5)
