@@ -8,15 +8,19 @@ from importlib import import_module
 from typing import Any
 
 _HOME = {
+    "Compression": "compression",
     "NonMonotonicInverse": "nonmonotonic_inverse",
     "NonMonotonicPreisach": "nonmonotonic",
     "PreisachFit": "least_squares",
     "PreisachInverse": "inverse",
     "PreisachOperator": "operator",
     "PreisachState": "memory",
+    "compress": "compression",
     "fit_nonmonotonic": "nonmonotonic",
     "fit_polynomial": "polynomial",
     "fit_preisach": "least_squares",
+    "identify_compressed": "compressive_sensing",
+    "identify_preisach_compressed": "compressive_sensing",
     "signed_area_matrix": "signed_area",
 }
 
