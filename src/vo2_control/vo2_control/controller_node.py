@@ -27,6 +27,7 @@ from vo2_plant_sim.interface.topics import (
     ESTIMATE,
     ESTIMATE_CHANNELS,
     LATCHED_QOS,
+    READ_QOS,
     REFERENCE,
     REFERENCE_CHANNELS,
     SAFE_CURRENT_A,
@@ -82,7 +83,7 @@ class ControllerNode(Node):
         self._writer = SampleWriter(COMMAND_CHANNELS, self._table.text("preset"))
         self._publisher = self.create_publisher(JointState, COMMAND, SAMPLE_QOS)
         self.create_subscription(JointState, REFERENCE, self._on_reference, LATCHED_QOS, raw=True)
-        self.create_subscription(JointState, ESTIMATE, self._on_estimate, SAMPLE_QOS, raw=True)
+        self.create_subscription(JointState, ESTIMATE, self._on_estimate, READ_QOS, raw=True)
         self.create_service(Trigger, "~/redesign", self._on_redesign)
         if self._wall:
             self.create_timer(self._period_s, self._on_tick)
@@ -136,10 +137,7 @@ class ControllerNode(Node):
             self._miss(stamp_ns, f"tip_deflection on {REFERENCE} is {reference}: send finite set-points")
             return
         if self._guard.needs_restart:
-            # the surrogate is the current that would hold the present temperature: no bump from there
-            self._law.reset(
-                surrogate if math.isfinite(surrogate) else self._guard.last_a, reference, deflection
-            )
+            self._law.reset(self._guard.start_from(surrogate), reference, deflection)
         current = self._law.update(reference, deflection)
         if self._guard.missed or self._guard.needs_restart:
             self._diagnostics.report("input", "ok", "input is there, the loop is closed", stamp_ns=stamp_ns)

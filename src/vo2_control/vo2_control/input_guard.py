@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from vo2_plant_sim.interface.lockstep import HOLD_SAMPLES
 
 __all__ = ["InputGuard"]
@@ -26,6 +28,7 @@ class InputGuard:
         self.missed = 0
         self.needs_restart = True
         self._last_a = safe_current_a
+        self._has_commanded = False
 
     def miss(self) -> float:
         """Count one missed input; return the current to apply [A]."""
@@ -33,12 +36,14 @@ class InputGuard:
         if self.missed > HOLD_SAMPLES:
             self.needs_restart = True
             self._last_a = self.safe_current_a
+            self._has_commanded = True
         return self._last_a
 
     def used(self, current_a: float) -> None:
         """Note that an input was there and led to `current_a` [A]."""
         self.missed = 0
         self.needs_restart = False
+        self._has_commanded = True
         self._last_a = current_a
 
     @property
@@ -46,7 +51,10 @@ class InputGuard:
         """Whether the safe current is being applied."""
         return self.missed > HOLD_SAMPLES
 
-    @property
-    def last_a(self) -> float:
-        """The current applied last [A]."""
-        return self._last_a
+    def start_from(self, surrogate_a: float) -> float:
+        """Return the current to start the law from without a bump [A].
+
+        The current applied last; at the very start, when another node may have commanded before, the
+        temperature surrogate, which is the current that holds the present temperature.
+        """
+        return surrogate_a if not self._has_commanded and math.isfinite(surrogate_a) else self._last_a

@@ -18,9 +18,9 @@ from vo2_plant_sim.interface.topics import (
     DEFAULT_NAMESPACE,
     LATCHED_QOS,
     MEASUREMENT,
+    READ_QOS,
     REFERENCE,
     REFERENCE_CHANNELS,
-    SAMPLE_QOS,
 )
 
 from vo2_control.references import REFERENCES, Multisine, ReferenceSignal, Steps, read_table, reference_signal
@@ -35,8 +35,8 @@ REFERENCE_PARAMETERS = (
         "signal",
         "steps",
         "",
-        "What to follow; set anew, even to the same text, it starts again at the next measurement.",
-        choices=("steps", "sine", "multisine", "csv"),
+        "What to follow; set anew, even to the same text, it starts again at the next measurement; none is silence.",
+        choices=("steps", "sine", "multisine", "csv", "none"),
     ),
     Parameter(
         "steps.levels_m", [], "m", "Levels in turn; empty for the preset's.", -1e-3, 1e-3, kind="float_array"
@@ -69,7 +69,7 @@ class ReferenceNode(Node):
             self, (*REFERENCE_PARAMETERS, *model_parameters()), read_only=("preset",)
         )
         self._diagnostics = Diagnostics(self)
-        self._signal = self._build()
+        self._signal: ReferenceSignal | None = self._build()
         self._revision = self._table.revision
         self._start_ns: int | None = None
         self._order = StampOrder()
@@ -77,11 +77,11 @@ class ReferenceNode(Node):
         self._writer = SampleWriter(REFERENCE_CHANNELS, self._table.text("preset"))
         self._answer = b""
         self._publisher = self.create_publisher(JointState, REFERENCE, LATCHED_QOS)
-        self.create_subscription(JointState, MEASUREMENT, self._on_measurement, SAMPLE_QOS, raw=True)
+        self.create_subscription(JointState, MEASUREMENT, self._on_measurement, READ_QOS, raw=True)
 
     def _on_measurement(self, data: bytes) -> None:
         stamp_ns, _ = self._reader.read(data)
-        if self._order.is_repeat(stamp_ns):
+        if self._order.is_repeat(stamp_ns) and self._answer:
             self._publisher.publish(self._answer)
             return
         if self._order.jumped_back(stamp_ns):
@@ -92,6 +92,9 @@ class ReferenceNode(Node):
         if self._start_ns is None:
             self._start_ns = stamp_ns
         self._order.accept(stamp_ns)
+        if self._signal is None:
+            self._answer = b""
+            return
         value = self._signal.at((stamp_ns - self._start_ns) * 1e-9)
         self._answer = self._writer.write(stamp_ns, (value,))
         self._publisher.publish(self._answer)
@@ -105,9 +108,11 @@ class ReferenceNode(Node):
         self._start_ns = None
         self._diagnostics.report("signal", "ok", f"follows {self._table.text('signal')}")
 
-    def _build(self) -> ReferenceSignal:
+    def _build(self) -> ReferenceSignal | None:
         table = self._table
         signal = table.text("signal")
+        if signal == "none":
+            return None
         if signal == "csv":
             if not table.text("csv.file"):
                 raise ValueError("csv.file: found no name, need a CSV file for signal csv")

@@ -29,6 +29,7 @@ from vo2_plant_sim.interface.topics import (
     COMMAND_CHANNELS,
     DEFAULT_NAMESPACE,
     MEASUREMENT,
+    READ_QOS,
     SAFE_CURRENT_A,
     SAMPLE_QOS,
 )
@@ -96,7 +97,7 @@ class PlantNode(Node):
         self._clock_out = None
         if self._lockstep and self._table.flag("clock"):
             self._clock_out = self.create_publisher(Clock, CLOCK, SAMPLE_QOS)
-        self.create_subscription(JointState, COMMAND, self._on_command, SAMPLE_QOS, raw=True)
+        self.create_subscription(JointState, COMMAND, self._on_command, READ_QOS, raw=True)
         self._published_at = time.monotonic()
         if self._lockstep:
             self._advance(SAFE_CURRENT_A)
@@ -144,7 +145,17 @@ class PlantNode(Node):
         if self._table.revision != self._revision:
             self._revision = self._table.revision
             self._until_ns = round(self._table.number("run_until_s") * 1e9)
-        if self._command is None or 0 < self._until_ns <= self._stamp_ns:
+        if self._command is None:
+            return
+        if 0 < self._until_ns <= self._stamp_ns:
+            stamp = f"{self._stamp_ns * 1e-9:.9f}"
+            self._diagnostics.report(
+                "time",
+                "ok",
+                "simulated time stands still (run_until_s)",
+                {"stamp_s": stamp},
+                stamp_ns=self._stamp_ns,
+            )
             return
         current = self._command[1]
         self._command = None

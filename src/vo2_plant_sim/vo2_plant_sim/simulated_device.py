@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
 
 import yaml
-from numpy.typing import NDArray
+from vo2_models.device.stepper import Stepper
 from vo2_models.device.truth import truth
 from vo2_models.parameters import Parameter
 
@@ -32,19 +31,6 @@ SIMULATED_DEVICE_PARAMETERS = (
 )
 
 
-class _Stepper(Protocol):
-    period: float
-    channels: tuple[str, ...]
-
-    def step(self, current: float) -> NDArray[Any]: ...
-
-    @property
-    def true_deflection(self) -> float: ...
-
-    @property
-    def temperature(self) -> float: ...
-
-
 class SimulatedDevice:
     """One current in, one sample of every channel out.
 
@@ -54,7 +40,7 @@ class SimulatedDevice:
     channels : names of the measured channels, in the order of the values
     """
 
-    def __init__(self, stepper: _Stepper) -> None:
+    def __init__(self, stepper: Stepper) -> None:
         self._stepper = stepper
         self.period = stepper.period
         self.channels = stepper.channels
@@ -89,7 +75,13 @@ def simulated_device(preset: str, rate_hz: float, parameters: ParameterTable) ->
                 "source: found model, need model.* parameters; load a file that fit wrote (--params-file)"
             )
         model = DeviceModel.from_parameters(given)
-        return SimulatedDevice(model.simulation(effects).stepper(dt=period, seed=seed, noise=noise))
+        if model.device != preset:
+            raise ValueError(
+                f"model.device: found {model.device}, need the preset {preset}; set the preset or load its model"
+            )
+        return SimulatedDevice(
+            Stepper(model.simulation.with_effects(effects), dt=period, seed=seed, noise=noise)
+        )
     device = truth(preset, seed=seed, effects=effects)
     # the noise has a stream of its own: the device must not change with it
     return SimulatedDevice(device.stepper(dt=period, seed=seed + 1, noise=noise))

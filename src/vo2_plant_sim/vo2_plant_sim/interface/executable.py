@@ -39,7 +39,7 @@ class RigNode(Protocol):
         """Leave the rig safe and files readable; the node can still publish."""
 
 
-def fastest_executor() -> Executor:
+def fastest_executor(context: rclpy.Context | None = None) -> Executor:
     """Return the executor with the lowest latency that this rclpy has.
 
     The events executor is stepped with `spin_once` only: its `spin` was seen to hang in relay
@@ -48,8 +48,8 @@ def fastest_executor() -> Executor:
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:
-        return SingleThreadedExecutor()
-    return EventsExecutor()
+        return SingleThreadedExecutor(context=context)
+    return EventsExecutor(context=context)
 
 
 def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None) -> int:

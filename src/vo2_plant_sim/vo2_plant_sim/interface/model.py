@@ -5,9 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
+from vo2_models.device.presets import PRESETS as _PRESETS
+from vo2_models.device.presets import preset
 from vo2_models.parameters import Parameter
 
 __all__ = ["PRESETS", "OperatingPoint", "model_parameters", "operating_point"]
+
+PRESETS = tuple(_PRESETS)
 
 
 @dataclass(frozen=True)
@@ -32,21 +36,30 @@ class OperatingPoint:
     deflection_range_m: float
 
 
-_POINTS = {
-    "integrated": OperatingPoint(1000.0, 3.68e-3, 8.49e-3, 3.68e-3, 8.49e-3, 0.01, 57.03e-6),
-    "peltier": OperatingPoint(8.0, -1.15, 0.05, 0.05, -1.15, 125.0, 70e-6),
-}
-PRESETS = tuple(_POINTS)
+_SETTLE_CONSTANTS = 5.0
 
 
-def operating_point(preset: str) -> OperatingPoint:
+def operating_point(preset_id: str) -> OperatingPoint:
     """Return the operating point of a preset; raise `ValueError` naming the known ones."""
-    if preset not in _POINTS:
-        raise ValueError(f"preset: found {preset!r}, need one of {', '.join(PRESETS)}")
-    return _POINTS[preset]
+    nominal = preset(preset_id)
+    cold, hot = nominal.operating_range
+    return OperatingPoint(
+        rate_hz=1.0 / nominal.sample_period,
+        lower_a=min(cold, hot),
+        upper_a=max(cold, hot),
+        cold_a=cold,
+        hot_a=hot,
+        settle_s=round(_SETTLE_CONSTANTS * nominal.time_constant / nominal.sample_period + 0.5)
+        * nominal.sample_period,
+        deflection_range_m=nominal.deflection_range,
+    )
 
 
 @lru_cache(maxsize=1)
 def model_parameters() -> tuple[Parameter, ...]:
     """Return the records of everything a model file may hold, in every section."""
-    return ()
+    # both modules load the compiler: only once parameters are really declared
+    from vo2_models.device.model import PARAMETERS as DEVICE_PARAMETERS
+    from vo2_models.self_sensing.scheme import PARAMETERS as SELF_SENSING_PARAMETERS
+
+    return (*DEVICE_PARAMETERS, *SELF_SENSING_PARAMETERS)

@@ -14,6 +14,7 @@ __all__ = [
     "ESTIMATE_CHANNELS",
     "LATCHED_QOS",
     "MEASUREMENT",
+    "READ_QOS",
     "REFERENCE",
     "REFERENCE_CHANNELS",
     "SAFE_CURRENT_A",
@@ -42,6 +43,13 @@ SAMPLE_QOS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
+READ_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=20_000,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""For subscriptions: a node that is not part of a lockstep loop, or is busy for a moment, loses no sample."""
 LATCHED_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=100,

@@ -1,0 +1,46 @@
+"""`loop`: plant, estimator and controller composed in one process and one executor, for fast loops.
+
+The same nodes, topics and parameters as in separate processes; `--with-reference` adds the reference node,
+`--without-plant` leaves the plant out, for a real device that speaks the same topics.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+
+from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
+from vo2_estimation.estimator_node import EstimatorNode
+from vo2_plant_sim.interface.executable import run_nodes
+from vo2_plant_sim.plant_node import PlantNode
+
+from vo2_control.controller_node import ControllerNode
+from vo2_control.reference_node import ReferenceNode
+
+__all__ = ["main"]
+
+_OPTIONS = ("--with-reference", "--without-plant")
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the composed nodes until SIGINT or SIGTERM."""
+    line = list(sys.argv if args is None else args)
+    options = remove_ros_args(line)[1:]
+    unknown = [option for option in options if option not in _OPTIONS]
+    if unknown:
+        print(
+            f"loop: found {' '.join(unknown)}, need some of {', '.join(_OPTIONS)} or --ros-args",
+            file=sys.stderr,
+        )
+        return 2
+    nodes: list[Callable[[], Node]] = [EstimatorNode, ControllerNode]
+    if "--with-reference" in options:
+        nodes.append(ReferenceNode)
+    if "--without-plant" not in options:
+        nodes.append(PlantNode)
+    return run_nodes(*nodes, args=line)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

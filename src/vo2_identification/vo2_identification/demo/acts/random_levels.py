@@ -1,0 +1,24 @@
+"""Act 3: random current levels, open loop; both schemes estimate the deflection from the same resistance."""
+
+from __future__ import annotations
+
+from vo2_identification.demo.acts.identification import play
+from vo2_identification.demo.stage import Stage
+
+__all__ = ["run"]
+
+
+def run(stage: Stage) -> None:
+    """Play 400 random levels of 10 ms."""
+    stage.say("self-sensing on 400 random current levels, open loop")
+    play(
+        stage,
+        "random",
+        {
+            "excitation.kind": "random_levels",
+            "excitation.count": 400,
+            "excitation.hold_s": 0.01,
+            "excitation.seed": stage.seed,
+            "fit": False,
+        },
+    )

@@ -1,0 +1,115 @@
+"""The demo's own node: calls services, sets parameters, listens to `/diagnostics`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+from vo2_models.parameters import Value
+from vo2_plant_sim.interface.executable import fastest_executor
+from vo2_plant_sim.interface.parameters import ros_parameters
+from vo2_plant_sim.interface.topics import DIAGNOSTICS, SAMPLE_QOS
+
+from vo2_identification.demo.graph import Graph, GraphError
+
+__all__ = ["Conductor"]
+
+_SPIN_S = 0.05
+_CHECK_S = 0.5
+
+
+class Conductor:
+    """Talks to a running graph; every wait has a time limit and notices a process that died.
+
+    Parameters
+    ----------
+    graph : the processes
+    on_progress : called with (status name, text, values) of every diagnostic status that arrives
+    """
+
+    def __init__(
+        self, graph: Graph, on_progress: Callable[[str, str, Mapping[str, str]], None] | None = None
+    ) -> None:
+        self._graph = graph
+        self.on_progress = on_progress
+        self.statuses: dict[str, tuple[bytes, str, dict[str, str]]] = {}
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, domain_id=graph.domain, args=[])
+        self._node = Node("conductor", namespace="/vo2_demo", context=self._context)
+        self._executor = fastest_executor(self._context)
+        self._executor.add_node(self._node)
+        self._clients: dict[tuple[str, type], Any] = {}
+        self._checked = 0.0
+        self._node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, SAMPLE_QOS)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def wait_for(self, what: str, condition: Callable[[], bool], timeout_s: float) -> None:
+        """Spin until `condition`; raise a `GraphError` naming `what` after `timeout_s`."""
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            self._executor.spin_once(timeout_sec=_SPIN_S)
+            now = time.monotonic()
+            if now - self._checked > _CHECK_S:
+                self._checked = now
+                self._graph.check()
+            if now > deadline:
+                raise GraphError(
+                    f"waited {timeout_s:g} s for {what}; see the logs in {self._graph.log_folder}"
+                )
+
+    def wait_for_nodes(self, names: list[str], timeout_s: float = 60.0) -> None:
+        """Wait until the parameter services of all nodes (full names) can be called."""
+        for name in names:
+            client = self._client(f"{name}/set_parameters_atomically", SetParametersAtomically)
+            self.wait_for(f"the node {name}", client.service_is_ready, timeout_s)
+
+    def set(self, node: str, values: Mapping[str, Value], timeout_s: float = 20.0) -> None:
+        """Set parameters of a node (full name), all or none."""
+        request = SetParametersAtomically.Request()
+        request.parameters = [parameter.to_parameter_msg() for parameter in ros_parameters(values)]
+        result = self._call(
+            f"{node}/set_parameters_atomically", SetParametersAtomically, request, timeout_s
+        ).result
+        if not result.successful:
+            raise GraphError(f"{node} refused {', '.join(values)}: {result.reason}")
+
+    def trigger(self, service: str, timeout_s: float = 20.0) -> str:
+        """Call a Trigger service (full name); return its message."""
+        response = self._call(service, Trigger, Trigger.Request(), timeout_s)
+        if not response.success:
+            raise GraphError(f"{service}: {response.message}")
+        return str(response.message)
+
+    def value(self, status: str, key: str) -> str:
+        """Return a value of a diagnostic status (full name, as `vo2/plant: time`), empty if not heard."""
+        return self.statuses[status][2].get(key, "") if status in self.statuses else ""
+
+    def _call(self, name: str, kind: type, request: Any, timeout_s: float) -> Any:
+        client = self._client(name, kind)
+        self.wait_for(f"the service {name}", client.service_is_ready, timeout_s)
+        future: Future = client.call_async(request)
+        self.wait_for(f"an answer of {name}", future.done, timeout_s)
+        return future.result()
+
+    def _client(self, name: str, kind: type) -> Any:
+        if (name, kind) not in self._clients:
+            self._clients[name, kind] = self._node.create_client(kind, name)
+        return self._clients[name, kind]
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {pair.key: pair.value for pair in status.values}
+            self.statuses[status.name] = (status.level, status.message, values)
+            if self.on_progress is not None:
+                self.on_progress(status.name, status.message, values)

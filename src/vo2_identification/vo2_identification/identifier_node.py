@@ -1,0 +1,275 @@
+"""`identifier`: excites the device through the running graph, records, fits, and hands the model on.
+
+Started and cancelled by service; progress goes to `/diagnostics`. The fitted model becomes the node's own
+`model.*` parameters, is set on the nodes named in `targets`, and is saved as a parameter file.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.node import Node
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+from vo2_models.model_file import save_model_parameters
+from vo2_models.parameters import Parameter, Value
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
+from vo2_plant_sim.interface.diagnostics import Diagnostics
+from vo2_plant_sim.interface.executable import run_nodes
+from vo2_plant_sim.interface.lockstep import StampOrder
+from vo2_plant_sim.interface.model import PRESETS, model_parameters, operating_point
+from vo2_plant_sim.interface.parameters import ParameterTable, ros_parameters
+from vo2_plant_sim.interface.samples import SampleReader, SampleWriter
+from vo2_plant_sim.interface.topics import (
+    COMMAND,
+    COMMAND_CHANNELS,
+    DEFAULT_NAMESPACE,
+    MEASUREMENT,
+    READ_QOS,
+    SAMPLE_QOS,
+)
+
+from vo2_identification.excitation_plan import EXCITATION_PARAMETERS, excitation_currents
+from vo2_identification.sample_log import SampleLog
+
+__all__ = ["IDENTIFIER_PARAMETERS", "IdentifierNode", "main"]
+
+IDENTIFIER_PARAMETERS = (
+    Parameter("preset", "integrated", "", "Device preset.", choices=PRESETS),
+    Parameter("rate_hz", 0.0, "Hz", "Sampling rate; 0 for the preset's.", 0.0, 20e3),
+    *EXCITATION_PARAMETERS,
+    Parameter("fit", True, "", "Fit after recording; off, the excitation is only played."),
+    Parameter(
+        "fit_share", 1.0, "1", "Share of the recording, from its start, that the fit may use.", 0.01, 1.0
+    ),
+    Parameter("targets", ["estimator"], "", "Nodes that get the fitted model."),
+    Parameter("model_file", "", "", "Where the fitted model is saved; empty for nowhere."),
+    Parameter("quiet_s", 2.0, "s", "Listening ends after this much wall time without a sample.", 0.1, 1e4),
+)
+_CHANNELS = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
+_POLL_S = 0.05
+_SERVICE_TIMEOUT_S = 10.0
+
+
+@dataclass
+class _Fit:
+    """A fit at work in its own thread, and what came out."""
+
+    recording: Recording
+    thread: threading.Thread | None = None
+    model: dict[str, Value] = field(default_factory=dict)
+    error: str = ""
+    started_s: float = 0.0
+
+
+class IdentifierNode(Node):
+    """Services and samples in, commands and a model out."""
+
+    def __init__(self) -> None:
+        super().__init__("identifier", namespace=DEFAULT_NAMESPACE)
+        records = (*IDENTIFIER_PARAMETERS, *model_parameters())
+        self._table = ParameterTable(self, records, read_only=("preset", "rate_hz"))
+        self._preset = self._table.text("preset")
+        rate = self._table.number("rate_hz") or operating_point(self._preset).rate_hz
+        self._period_s = 1.0 / rate
+        self._diagnostics = Diagnostics(self, hardware_id=self._preset)
+        self._state = "idle"
+        self._currents: NDArray[np.float64] = np.empty(0)
+        self._log = SampleLog(_CHANNELS)
+        self._last_recording: Recording | None = None
+        self._fit: _Fit | None = None
+        self._pending: dict[str, tuple[Future, float]] = {}
+        self._order = StampOrder()
+        self._answer = b""
+        self._device = ""
+        self._heard_s = 0.0
+        self._told_percent = -1
+        self._reader = SampleReader(_CHANNELS)
+        self._writer = SampleWriter(COMMAND_CHANNELS, self._preset)
+        self._publisher = self.create_publisher(JointState, COMMAND, SAMPLE_QOS)
+        self.create_subscription(JointState, MEASUREMENT, self._on_measurement, READ_QOS, raw=True)
+        self.create_service(Trigger, "~/start", self._on_start)
+        self.create_service(Trigger, "~/cancel", self._on_cancel)
+        self.create_timer(_POLL_S, self._on_poll)
+        self._tell("idle", "ready; call ~/start")
+
+    # --- services ---------------------------------------------------------------------------------
+
+    def _on_start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._state not in ("idle", "done", "failed", "cancelled"):
+            response.message = f"busy ({self._state}); call ~/cancel first"
+            return response
+        try:
+            self._currents = excitation_currents(self._preset, self._period_s, self._table)
+        except ValueError as error:
+            response.message = str(error)
+            return response
+        self._log = SampleLog(_CHANNELS)
+        self._order = StampOrder()
+        self._heard_s = math.inf
+        self._told_percent = -1
+        kind = self._table.text("excitation.kind")
+        self._tell(
+            "listening" if kind == "listen" else "exciting", f"{kind} of {self._currents.size} samples"
+        )
+        response.success = True
+        response.message = (
+            f"{kind}: {self._currents.size} samples, {self._currents.size * self._period_s:g} s"
+        )
+        return response
+
+    def _on_cancel(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self._state in ("exciting", "listening", "fitting", "publishing")
+        response.message = (
+            f"cancelled while {self._state}" if response.success else f"nothing to cancel ({self._state})"
+        )
+        if response.success:
+            self._fit = None
+            self._pending.clear()
+            self._tell("cancelled", response.message)
+        return response
+
+    # --- samples ----------------------------------------------------------------------------------
+
+    def _on_measurement(self, data: bytes) -> None:
+        if self._state not in ("exciting", "listening"):
+            return
+        stamp_ns, values = self._reader.read(data)
+        if self._order.is_repeat(stamp_ns):
+            if self._answer:
+                self._publisher.publish(self._answer)
+            return
+        if self._order.jumped_back(stamp_ns):
+            self._tell(
+                "failed",
+                "the stamp jumped back while recording: was the plant or the bag restarted? start again",
+            )
+            return
+        self._order.accept(stamp_ns)
+        self._heard_s = time.monotonic()
+        self._device = self._reader.device
+        if self._state == "listening":
+            self._log.append(stamp_ns, values)
+            return
+        if not math.isfinite(values[0]):
+            self._tell(
+                "failed",
+                f"{HEATER_CURRENT} on {MEASUREMENT} is absent or not finite: nothing can be identified",
+            )
+            return
+        k = len(self._log)
+        if k == self._currents.size:
+            self._log.append(stamp_ns, values)
+            self._finish_recording()
+            return
+        current = float(self._currents[k])
+        self._log.append(stamp_ns, values, current)
+        self._answer = self._writer.write(stamp_ns, (current,))
+        self._publisher.publish(self._answer)
+        percent = 100 * (k + 1) // self._currents.size
+        if percent >= self._told_percent + 5:
+            self._told_percent = percent
+            self._tell(
+                "exciting", f"{k + 1} of {self._currents.size} samples", percent=percent, stamp_ns=stamp_ns
+            )
+
+    def _finish_recording(self) -> None:
+        self._answer = b""
+        try:
+            recording = self._log.recording(self._device or self._preset)
+        except ValueError as error:
+            self._tell("failed", str(error))
+            return
+        self._last_recording = recording
+        if not self._table.flag("fit"):
+            self._tell("done", f"recorded {len(recording)} samples", percent=100)
+            return
+        share = self._table.number("fit_share")
+        part = recording.slice(0, max(2, round(share * len(recording))))
+        self._fit = _Fit(part, started_s=time.monotonic())
+        self._fit.thread = threading.Thread(target=_run_fit, args=(self._fit, self._preset), daemon=True)
+        self._tell("fitting", f"fitting {len(part)} samples")
+        self._fit.thread.start()
+
+    # --- what follows the recording, polled -------------------------------------------------------
+
+    def _on_poll(self) -> None:
+        if self._state == "listening" and time.monotonic() - self._heard_s > self._table.number("quiet_s"):
+            self._finish_recording()
+        elif self._state == "fitting" and self._fit and self._fit.thread and not self._fit.thread.is_alive():
+            self._hand_on(self._fit)
+        elif self._state == "publishing":
+            self._check_targets()
+
+    def _hand_on(self, fit: _Fit) -> None:
+        if fit.error:
+            self._tell("failed", fit.error)
+            return
+        try:
+            self._table.set(fit.model)
+            if self._table.text("model_file"):
+                save_model_parameters(
+                    self._table.text("model_file"),
+                    fit.model,
+                    comment="Identified by vo2_identification identifier.",
+                )
+        except (ValueError, OSError) as error:
+            self._tell("failed", f"the fitted model cannot be kept: {error}")
+            return
+        seconds = time.monotonic() - fit.started_s
+        self._tell("publishing", f"fitted in {seconds:.1f} s; handing the model on")
+        request = SetParametersAtomically.Request()
+        request.parameters = [parameter.to_parameter_msg() for parameter in ros_parameters(fit.model)]
+        for target in self._table["targets"]:  # type: ignore[union-attr]
+            client = self.create_client(SetParametersAtomically, f"{target}/set_parameters_atomically")
+            self._pending[str(target)] = (client.call_async(request), time.monotonic() + _SERVICE_TIMEOUT_S)
+
+    def _check_targets(self) -> None:
+        for target, (future, deadline) in list(self._pending.items()):
+            if future.done():
+                result = future.result().result
+                if not result.successful:
+                    self._tell("failed", f"{target} refused the model: {result.reason}")
+                    return
+                del self._pending[target]
+            elif time.monotonic() > deadline:
+                self._tell("failed", f"{target} does not answer: is this node running? (parameter targets)")
+                return
+        if not self._pending:
+            self._tell("done", "model identified, published and set", percent=100)
+
+    def _tell(self, state: str, text: str, *, percent: int = 0, stamp_ns: int | None = None) -> None:
+        self._state = state
+        level = "error" if state == "failed" else "ok"
+        values: dict[str, object] = {"state": state, "percent": percent}
+        if state == "done" and self._last_recording is not None:
+            time_s = self._last_recording.time_s
+            values |= {"first_stamp_s": f"{time_s[0]:.9f}", "last_stamp_s": f"{time_s[-1]:.9f}"}
+        self._diagnostics.report("progress", level, text, values, stamp_ns=stamp_ns)
+
+
+def _run_fit(fit: _Fit, preset: str) -> None:
+    from vo2_models.self_sensing import identify
+
+    try:
+        fit.model = dict(identify(fit.recording, preset))
+    except ValueError as error:
+        fit.error = f"the recording cannot be fitted: {error}"
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM."""
+    return run_nodes(IdentifierNode, args=args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
