@@ -1,21 +1,21 @@
 """A documented rule from an identified model to PI and PID gains, with the margins that it leaves.
 
-The rule: the largest integral gain for which the sampled loop keeps both its sensitivity and its complementary
-sensitivity below a limit Ms, at the steepest slope of the hysteresis loop and over a spread of the time constant
-(M-constrained integral gain optimisation: Astrom, Panagopoulos and Hagglund, Automatica 34, 1998).
+The rule: among all gains whose sampled loop keeps both its sensitivity and its complementary sensitivity below a
+limit Ms, at the steepest slope of the hysteresis loop and over a spread of the time constant, take those with the
+least cost. Steepest slope, because a loop that is stable there is stable wherever the branch is flatter.
 
-Why the integral gain: after every reversal the branch is almost flat until the temperature has crossed the
-loop's width. There the loop is open, the error grows, and it is the integrator that drives the temperature across:
-the error at reversals falls with Ki and hardly with Kp. A rule that sets Ti to the thermal time constant (lambda
-or SIMC tuning) wastes that; it was tried and tracks two to three times worse under reversals. Why the steepest
-slope: a loop that is stable there is stable wherever the branch is flatter.
+Without a cost the largest integral gain wins (M-constrained integral gain optimisation: Astrom, Panagopoulos and
+Hagglund, Automatica 34, 1998): after every reversal the branch is almost flat until the temperature has crossed
+the loop's width, and it is the integrator that drives it across. With a hysteresis model the cost is the tracking
+error of a simulation (`vo2_control.model_tuning`), as section 7.4 tuned; it also sees what no linear margin does, a
+slow lag and an integrator that cycle for ever around the loop's width.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -107,19 +107,21 @@ def tune_pid(
     max_sensitivity: float = 1.6,
     slopes: Sequence[float] = (),
     time_constant_spread: float = 0.2,
+    cost: Callable[[PidGains], float] | None = None,
     coordinate: Coordinate = "current",
 ) -> TunedPid:
-    """Return the gains with the largest Ki whose sampled loop keeps Ms and Mt below `max_sensitivity`.
+    """Return the gains of least cost whose sampled loop keeps Ms and Mt below `max_sensitivity`.
 
     Parameters
     ----------
     plant : lag with the largest local slope as its gain
     sample_period_s : [s]
     derivative : PID instead of PI; pays where the dead time is not small against the lag. The derivative's filter
-        has half the loop's delay (dead time and half a sample) as time constant.
+        has a quarter of the loop's delay (dead time and half a sample) as time constant.
     max_sensitivity : customarily 1.4 (cautious) to 2.0 (fast)
     slopes : further local slopes at which the margin must hold, all of the sign of the plant's gain
     time_constant_spread : relative spread of the time constant covered, for instance 0.2 for +-20 %
+    cost : of gains that keep the limits, to be minimised; None for the largest Ki
     coordinate : passed on to the gains
 
     Raises
@@ -138,76 +140,74 @@ def tune_pid(
         )
     ]
     delay = plant.dead_time_s + period / 2
-    filter_s = delay / 2 if derivative else 0.0
-    search = _Search(corners, period, filter_s, max_sensitivity, plant.gain)
-    # the loop's natural scales: a crossover near 1 / (3 delay) needs kp = tau / (3 delay K) with tau at most this
-    kp_scale = (plant.time_constant_s + delay) / (delay * abs(plant.gain))
-    ranges = [np.concatenate([[0.0], np.geomspace(1e-3, 2.0, 40)]) * kp_scale]
-    ranges.append(
-        np.concatenate([[0.0], np.geomspace(1e-2, 2.0, 14)]) * kp_scale * delay if derivative else np.zeros(1)
-    )
-    best = (0.0, 0.0, 0.0)
-    for _ in range(5):
-        for kp, kd in itertools.product(*ranges):
-            ki = search.largest_ki(kp, kd, kp_scale / delay)
-            if ki > best[0]:
-                best = (ki, kp, kd)
-        ranges = [_closer(grid, value) for grid, value in zip(ranges, best[1:], strict=True)]
-    ki, kp, kd = best
-    if ki == 0:
-        raise ValueError(
-            f"max_sensitivity: found that no gain keeps Ms below {max_sensitivity:g}; allow more, or sample faster"
-        )
+    filter_s = delay / 4 if derivative else 0.0
+    search = _Search(corners, period, filter_s, max_sensitivity)
     sign = math.copysign(1.0, plant.gain)
-    gains = PidGains(sign * kp, sign * ki, sign * kd, filter_s if kd else 0.0, coordinate=coordinate)
-    law = pid_law(gains, period)
-    return TunedPid(gains, max((loop_margins(law, c) for c in corners), key=lambda m: m.sensitivity_peak))
+    # a crossover near 1 / delay needs kp = tau / (delay K): the loop's natural scales
+    kp_scale = (plant.time_constant_s + delay) / (delay * abs(plant.gain))
+    least = math.inf
+    best: PidGains | None = None
+    grids = [
+        np.geomspace(3e-3, 1.5, 24),
+        np.array([0.0, 0.25, 0.5, 1.0]) if derivative else np.zeros(1),
+        np.geomspace(0.02, 1.0, 7) if cost else np.ones(1),
+    ]
+    chosen = np.zeros(3)
+    for _ in range(4):
+        for kp_share, lead, ki_share in itertools.product(*grids):
+            kp = kp_share * kp_scale
+            kd = lead * kp * delay
+            ki = ki_share * search.largest_ki(kp, kd, sign, kp_scale / delay)
+            if ki == 0:
+                continue
+            gains = PidGains(sign * kp, sign * ki, sign * kd, filter_s if kd else 0.0, coordinate=coordinate)
+            value = cost(gains) if cost else -ki
+            if value < least:
+                least, best = value, gains
+                chosen = np.array([kp_share, lead, ki_share])
+        if best is None:
+            raise ValueError(
+                f"max_sensitivity: found that no gain keeps Ms below {max_sensitivity:g}; allow more, or sample faster"
+            )
+        grids = [_closer(grid, float(value)) for grid, value in zip(grids, chosen, strict=True)]
+    assert best is not None  # the first round raises otherwise
+    law = pid_law(best, period)
+    return TunedPid(best, max((loop_margins(law, c) for c in corners), key=lambda m: m.sensitivity_peak))
 
 
 def _closer(grid: NDArray[np.float64], value: float) -> NDArray[np.float64]:
-    """Nine points around the best one, between its neighbours in the grid."""
+    """Five points around the best one, between its neighbours in the grid."""
     if grid.size == 1:
         return grid
     k = int(np.argmin(np.abs(grid - value)))
-    return np.linspace(grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)], 9)
+    return np.linspace(grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)], 5)
 
 
 class _Search:
-    """Largest Ki within the limits for given Kp and Kd, on a frequency grid."""
+    """Largest Ki within the limit for given Kp and Kd, on a frequency grid."""
 
-    def __init__(
-        self, corners: list[SampledPlant], period: float, filter_s: float, limit: float, gain: float
-    ) -> None:
+    def __init__(self, corners: list[SampledPlant], period: float, filter_s: float, limit: float) -> None:
         angle = np.pi * np.geomspace(1e-4, 1, 160)
         z = np.exp(1j * angle)
-        # laws are searched for a positive slope
-        self._sign = math.copysign(1.0, gain)
-        self._corners, self._period, self._filter = corners, period, filter_s
-        self._plant = np.array([self._sign * c.response(angle / period) for c in corners])
+        self._corners, self._period, self._filter, self._limit = corners, period, filter_s, limit
+        self._plant = np.array([c.response(angle / period) for c in corners])
         self._integral = period * z / (z - 1)
         self._derivative = (z - 1) / ((filter_s + period) * z - filter_s)
-        self._limit = limit
 
     def _within(self, kp: float, kd: float, ki: NDArray[np.float64]) -> NDArray[np.bool_]:
         law = kp + kd * self._derivative + ki[:, None, None] * self._integral
         loop = law * self._plant
         sensitivity = 1 / np.maximum(np.abs(1 + loop), 1e-12)
-        peak = np.maximum(sensitivity, np.abs(loop) * sensitivity).max(axis=(1, 2))
-        return np.asarray(peak <= self._limit)
+        return np.asarray(np.maximum(sensitivity, np.abs(loop) * sensitivity).max(axis=(1, 2)) <= self._limit)
 
-    def _stable(self, kp: float, kd: float, ki: float) -> bool:
-        gains = PidGains(self._sign * kp, self._sign * ki, self._sign * kd, self._filter)
-        law = pid_law(gains, self._period)
-        return all(closed_loop_radius(law, corner) < 1 for corner in self._corners)
-
-    def largest_ki(self, kp: float, kd: float, scale: float) -> float:
-        """0 where there is none. Upwards from small ones: the first limit met is met before stability is lost."""
+    def largest_ki(self, kp: float, kd: float, sign: float, scale: float) -> float:
+        """0 where there is none. Upwards from small ones: the limit is met before stability is lost."""
         grid = scale * np.geomspace(1e-5, 10.0, 50)
-        within = self._within(kp, kd, grid)
-        if not within[0] or not self._stable(kp, kd, grid[0]):
+        within = self._within(sign * kp, sign * kd, sign * grid)
+        law = pid_law(PidGains(sign * kp, sign * grid[0], sign * kd, self._filter), self._period)
+        if not within[0] or any(closed_loop_radius(law, corner) >= 1 for corner in self._corners):
             return 0.0
         k = int(np.argmin(within)) if not np.all(within) else grid.size - 1
-        low, high = grid[k - 1], grid[k]
-        fine = np.linspace(low, high, 40)
-        inside = self._within(kp, kd, fine)
-        return float(fine[max(int(np.argmin(inside)) - 1, 0)]) if not np.all(inside) else float(high)
+        fine = np.linspace(grid[k - 1], grid[k], 40)
+        inside = self._within(sign * kp, sign * kd, sign * fine)
+        return float(fine[max(int(np.argmin(inside)) - 1, 0)]) if not np.all(inside) else float(grid[k])
