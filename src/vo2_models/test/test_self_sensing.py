@@ -7,9 +7,17 @@ from hypothesis import strategies as st
 from vo2_models.device import truth
 from vo2_models.device.bank import PlayBank
 from vo2_models.device.surrogate import temperature_of_surrogate
+from vo2_models.excitation import damped_oscillation, random_levels
 from vo2_models.parameters import Parameter
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
-from vo2_models.self_sensing import KINDS, PARAMETERS, PolynomialSelfSensing, characterise, self_sensing
+from vo2_models.self_sensing import (
+    KINDS,
+    PARAMETERS,
+    PolynomialSelfSensing,
+    characterise,
+    identify,
+    self_sensing,
+)
 from vo2_models.self_sensing.bounds import COVERAGE, fit_bound, table_at
 from vo2_models.self_sensing.polynomial import polynomial_step
 
@@ -157,3 +165,40 @@ def test_records_describe_what_characterise_writes():
     assert set(KINDS) == {name.rsplit(".", 1)[1] for name in records if ".bounds." in name} - {
         "log10_resistance"
     }
+
+
+def identification_current():
+    """The damped oscillation of section 7.3.1, 10 ms a level, from the cold."""
+    low, high = 3.68e-3, 8.49e-3
+    levels = low + (high - low) * damped_oscillation(np.linspace(0, 1, 31))
+    return np.concatenate([np.full(30, low), np.repeat(levels, 10)])
+
+
+@pytest.mark.parametrize("seed", [3, 17])
+def test_identified_from_a_recording_it_estimates_an_independent_sequence(seed):
+    """Truth is thousands of switching domains; only what a rig records goes into the identification."""
+    device = truth("integrated", seed=seed)
+    recorded = device.simulate(identification_current(), seed=seed)
+    names = ("heater_current", RESISTANCE, TIP_DEFLECTION)
+    given = Recording(recorded.time_s, {name: recorded[name] for name in names}, "integrated")
+    parameters = identify(given, "integrated")
+    sequence = np.repeat(random_levels(3.68e-3, 8.49e-3, 200, seed=seed), 10)
+    test = device.simulate(np.concatenate([np.full(30, 3.68e-3), sequence]), seed=seed + 1)
+    error = {}
+    for kind in ("composite", "polynomial"):
+        found, _ = self_sensing(kind, parameters).estimate(test[RESISTANCE])
+        gap = np.abs(found.deflection - test["true_tip_deflection"])[200:]
+        error[kind] = 100 * gap.mean() / 57.03e-6
+        assert np.mean(gap <= found.bound[200:]) > 0.85
+    assert error["composite"] < 0.6
+    assert error["polynomial"] > 2 * error["composite"]
+
+
+def test_identification_uses_the_channels_there_are():
+    recorded = truth("integrated", seed=1).simulate(identification_current(), seed=1)
+    film = Recording(
+        recorded.time_s, {name: recorded[name] for name in ("heater_current", RESISTANCE)}, "integrated"
+    )
+    parameters = identify(film, "integrated")
+    assert parameters["model.resistance.weights"]
+    assert not any(name.startswith(("model.deflection", "model.self_sensing")) for name in parameters)

@@ -17,6 +17,7 @@ _HOME = {
     "CompositeSelfSensing": "composite",
     "PolynomialSelfSensing": "polynomial",
     "characterise": "characterise",
+    "identify": "identification",
 }
 __all__ = sorted(_HOME)
 
