@@ -1,0 +1,166 @@
+"""`replay` on a real graph: every message, in rhythm, with its quality of service."""
+
+from __future__ import annotations
+
+import signal
+import time
+
+import numpy as np
+import pytest
+from bag_makers import Sample, bag_by_rosbags, measurements
+from graph import Graph, running
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from vo2_identification.bags import write_bag
+from vo2_identification.bags.playback import outline, schedule
+from vo2_models.recording import Recording
+from vo2_plant_sim.interface.topics import LATCHED_QOS, SAMPLE_QOS
+
+from vo2_identification import replay
+
+REPLAY = "vo2_identification.replay"
+
+
+@pytest.fixture
+def graph():
+    opened = Graph()
+    yield opened
+    opened.close()
+
+
+def stamps(messages):
+    return [message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec for message in messages]
+
+
+def recording_of(n, period_s=0.001):
+    channels = {"heater_current": np.arange(n) * 1e-3, "film_resistance": 1e5 - np.arange(n)}
+    return Recording(np.arange(n) * round(period_s * 1e9) / 1e9, channels, "integrated")
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_every_message_arrives_unchanged_in_rhythm(graph, tmp_path, storage):
+    bag = write_bag(tmp_path / "bag", recording_of(1000), storage=storage)
+    heard = graph.collect(JointState, "/vo2/measurement", SAMPLE_QOS)
+    with running(REPLAY, bag, "--rate", 0.5, "--wait", 10) as process:
+        graph.spin_until(lambda: len(heard) >= 1, "the first message")
+        began = time.monotonic()
+        graph.spin_until(lambda: len(heard) >= 1000, "the last message")
+        took = time.monotonic() - began
+        out, err = process.communicate(timeout=10)
+    assert (process.returncode, err) == (0, "")
+    assert stamps(heard) == [k * 1_000_000 for k in range(1000)]
+    assert [list(message.position) for message in heard] == [[1e-3 * k, 1e5 - k] for k in range(1000)]
+    assert heard[0].header.frame_id == "integrated"
+    assert 1.8 < took < 6.0  # 1 s at half the speed; a loaded machine may be slower
+    assert "Replayed 1000 messages of /vo2/measurement" in out
+    assert str(bag) in out
+
+
+def test_a_loop_moves_stamps_on_and_says_so(graph, tmp_path):
+    bag = write_bag(tmp_path / "bag", recording_of(50, period_s=0.002))
+    heard = graph.collect(JointState, "/vo2/measurement", SAMPLE_QOS)
+    with running(REPLAY, bag, "--loop", 3, "--wait", 10) as process:
+        graph.spin_until(lambda: len(heard) >= 150, "three passes")
+        out, err = process.communicate(timeout=10)
+    assert (process.returncode, err) == (0, "")
+    assert stamps(heard) == [k * 2_000_000 for k in range(150)]
+    assert [message.position[1] for message in heard] == [1e5 - k % 50 for k in range(150)]
+    assert "Looping: each pass moves the stamps on by 0.1 s" in out
+
+
+def test_latched_topics_offset_topics_and_clock(graph, tmp_path):
+    samples = [Sample("/vo2/reference", 0, ("tip_deflection",), (1e-6,))]
+    samples += measurements(100, period_ns=10_000_000)
+    plain = {"measurement": recording_of(100, 0.01), "estimate": recording_of(100, 0.01)}
+    bag = write_bag(tmp_path / "bag", {**plain, "reference": recording_of(1)})
+    clocks = graph.collect(Clock, "/clock", SAMPLE_QOS)
+    measured = graph.collect(JointState, "/vo2/measurement", SAMPLE_QOS)
+    estimated = graph.collect(JointState, "/vo2/estimate", SAMPLE_QOS)
+    chosen = ("--topics", "/vo2/measurement", "/vo2/reference")
+    with running(
+        REPLAY, bag, "--offset", 0.5, "--duration", 0.3, "--clock", 200, "--wait", 2, *chosen
+    ) as process:
+        graph.spin_until(lambda: len(measured) >= 1, "the first message")
+        # a late subscriber still gets the reference that was set before the offset
+        late = graph.collect(JointState, "/vo2/reference", LATCHED_QOS)
+        graph.spin_until(lambda: len(measured) >= 30 and len(late) == 1, "messages and latched reference")
+        out, err = process.communicate(timeout=10)
+    graph.spin_until(lambda: True, "nothing")
+    assert process.returncode == 0, err
+    assert stamps(measured) == [k * 10_000_000 for k in range(50, 80)]
+    assert estimated == []
+    assert "nobody listens to /vo2/reference" in err
+    told = [message.clock.sec + message.clock.nanosec * 1e-9 for message in clocks]
+    assert len(told) > 20
+    assert told == sorted(set(told))
+    assert 0.45 <= told[0] <= 0.6
+    assert told[-1] <= 0.79 + 1e-9
+    assert "Replayed 31 messages" in out
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_ends_it_with_a_word(graph, tmp_path, how):
+    bag = write_bag(tmp_path / "bag", recording_of(10, period_s=0.05))
+    heard = graph.collect(JointState, "/vo2/measurement", SAMPLE_QOS)
+    with running(REPLAY, bag, "--loop", "--wait", 10) as process:
+        graph.spin_until(lambda: len(heard) > 12, "a second pass")
+        process.send_signal(how)
+        out, err = process.communicate(timeout=10)
+    assert (process.returncode, err) == (0, "")
+    assert "Stopped after" in out
+
+
+def test_a_damaged_bag_is_played_as_far_as_it_goes(graph, tmp_path):
+    bag = bag_by_rosbags(tmp_path / "bag", measurements(400), chunk=100)
+    (file,) = bag.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    heard = graph.collect(JointState, "/vo2/measurement", SAMPLE_QOS)
+    with running(REPLAY, bag, "--wait", 10) as process:
+        graph.spin_until(lambda: process.poll() is not None, "the end")
+        out, err = process.communicate(timeout=10)
+    graph.spin_until(lambda: f"Replayed {len(heard)} messages" in out, "the last message")
+    assert "without a footer" in err
+    assert stamps(heard) == [k * 1_000_000 for k in range(len(heard))]
+    assert len(heard) > 150
+
+
+def test_the_schedule_of_passes_offsets_and_lengths(tmp_path):
+    bag = write_bag(tmp_path / "bag", recording_of(10, 0.1))
+    held = outline(bag)
+    assert (held.first_ns, held.last_ns, held.pass_ns) == (0, 900_000_000, 1_000_000_000)
+    once = [due.due_s for due in schedule(bag, held)]
+    np.testing.assert_allclose(once, np.arange(10) / 10, atol=1e-12)
+    # a later pass starts at the offset too, one period after the end of the one before
+    part = list(schedule(bag, held, offset_s=0.65, passes=2))
+    np.testing.assert_allclose([due.due_s for due in part], [0.05, 0.15, 0.25, 0.40, 0.50, 0.60], atol=1e-12)
+    assert [due.time_ns // 100_000_000 for due in part] == [7, 8, 9, 17, 18, 19]
+    short = [due.due_s for due in schedule(bag, held, offset_s=0.2, duration_s=0.3)]
+    np.testing.assert_allclose(short, [0.0, 0.1, 0.2], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["{none}"], "found nothing there"),
+        (["{bag}", "--topics", "/vo2/nonsense"], "/vo2/measurement"),
+        (["{bag}", "--offset", "99"], "0.009 s long"),
+        (["{bag}", "--rate", "0"], "--rate"),
+        (["{bag}", "--loop", "0"], "--loop"),
+        (["{bag}", "--wait", "-1"], "--wait"),
+        (["{bag}", "--speed", "1"], "--speed"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(tmp_path, capsys, arguments, named):
+    bag = write_bag(tmp_path / "bag", recording_of(10))
+    assert replay.main([one.format(bag=bag, none=tmp_path / "none") for one in arguments]) == 2
+    said = capsys.readouterr().err
+    assert named in said
+    assert len(said.strip().splitlines()) == 1
+
+
+def test_help_is_sentences(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        replay.main(["--help"])
+    said = capsys.readouterr().out
+    for option in ("--rate", "--loop", "--offset", "--duration", "--topics", "--clock", "--wait"):
+        assert option in said
