@@ -36,6 +36,8 @@ _HOME = {
     "RobustInverse": "inverse_robust",
     "compress": "compression_gpi",
     "partition": "compression_gpi",
+    "PlayFit": "fitting_gpi",
+    "fit_play_model": "fitting_gpi",
 }
 __all__ = sorted(_HOME)
 
