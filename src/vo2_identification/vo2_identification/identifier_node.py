@@ -10,6 +10,7 @@ import math
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -264,6 +265,9 @@ def _run_fit(fit: _Fit, preset: str) -> None:
         fit.model = dict(identify(fit.recording, preset))
     except ValueError as error:
         fit.error = f"the recording cannot be fitted: {error}"
+    except Exception as error:  # a thread has nobody above it: what it dies of must reach the operator
+        traceback.print_exc()
+        fit.error = f"the fit broke down: {error!r}; the log has the traceback"
 
 
 def main(args: Sequence[str] | None = None) -> int:

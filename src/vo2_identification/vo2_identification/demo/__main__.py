@@ -10,7 +10,7 @@ import shutil
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from vo2_identification.demo.acts import ACTS, act
@@ -20,7 +20,7 @@ from vo2_identification.demo.stage import Stage
 
 __all__ = ["main"]
 
-_OWN = ("bag", "measured", "logs", "report.html", "metrics.json", "model.yaml")
+_OWN = ("bag", "bag_replayed", "measured", "logs", "report.html", "metrics.json", "model.yaml")
 """What the demo writes into its folder, and replaces when it runs again."""
 
 
@@ -83,7 +83,7 @@ def _own_peak_kb() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-def _show_progress(stage: Stage):  # type: ignore[no-untyped-def]
+def _show_progress(stage: Stage) -> Callable[[str, str, object], None]:
     def show(name: str, text: str, _values: object) -> None:
         if name.endswith((": progress", ": time")):
             stage.show(f"{name.split(':')[0]}: {text}")

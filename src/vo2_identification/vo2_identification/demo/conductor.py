@@ -23,6 +23,7 @@ __all__ = ["Conductor"]
 
 _SPIN_S = 0.05
 _CHECK_S = 0.5
+_SETTLE_S = 0.5
 
 
 class Conductor:
@@ -68,11 +69,31 @@ class Conductor:
                     f"waited {timeout_s:g} s for {what}; see the logs in {self._graph.log_folder}"
                 )
 
+    def pause(self, seconds: float) -> None:
+        """Spin for a fixed time."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=_SPIN_S)
+
     def wait_for_nodes(self, names: list[str], timeout_s: float = 60.0) -> None:
         """Wait until the parameter services of all nodes (full names) can be called."""
         for name in names:
             client = self._client(f"{name}/set_parameters_atomically", SetParametersAtomically)
             self.wait_for(f"the node {name}", client.service_is_ready, timeout_s)
+
+    def wait_for_links(self, endpoints: Mapping[str, tuple[int, int]], timeout_s: float = 60.0) -> None:
+        """Wait until every topic has at least (publishers, subscribers), and these have found each other."""
+
+        def all_there() -> bool:
+            return all(
+                self._node.count_publishers(topic) >= publishers
+                and self._node.count_subscribers(topic) >= subscribers
+                for topic, (publishers, subscribers) in endpoints.items()
+            )
+
+        self.wait_for(f"the publishers and subscribers of {', '.join(endpoints)}", all_there, timeout_s)
+        # this node joined last; once it knows all, the others have met, but for a last exchange
+        self.pause(_SETTLE_S)
 
     def set(self, node: str, values: Mapping[str, Value], timeout_s: float = 20.0) -> None:
         """Set parameters of a node (full name), all or none."""

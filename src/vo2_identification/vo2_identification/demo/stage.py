@@ -44,6 +44,7 @@ class Stage:
     phases : what was recorded when
     metrics : what goes into metrics.json
     sections : HTML sections of the report, in order
+    data : (scheme, phase) -> samples, for the figures
     """
 
     folder: Path
@@ -55,6 +56,7 @@ class Stage:
     phases: list[Phase] = field(default_factory=list)
     metrics: dict[str, Any] = field(default_factory=dict)
     sections: list[str] = field(default_factory=list)
+    data: dict[tuple[str, str], Any] = field(default_factory=dict)
     started: float = field(default_factory=time.monotonic)
 
     @property

@@ -59,7 +59,7 @@ def operating_point(preset_id: str) -> OperatingPoint:
 def model_parameters() -> tuple[Parameter, ...]:
     """Return the records of everything a model file may hold, in every section."""
     # both modules load the compiler: only once parameters are really declared
-    from vo2_models.device.model import PARAMETERS as DEVICE_PARAMETERS
-    from vo2_models.self_sensing.scheme import PARAMETERS as SELF_SENSING_PARAMETERS
+    from vo2_models.device import PARAMETERS as DEVICE_PARAMETERS
+    from vo2_models.self_sensing import PARAMETERS as SELF_SENSING_PARAMETERS
 
     return (*DEVICE_PARAMETERS, *SELF_SENSING_PARAMETERS)

@@ -55,4 +55,17 @@ def run(stage: Stage) -> None:
         for n in ("plant", "estimator", "controller", "reference")
     ]
     stage.conductor.wait_for_nodes([*nodes, f"{COMPOSITE}/estimator_polynomial", f"{COMPOSITE}/identifier"])
+    stage.conductor.wait_for_links(
+        {
+            f"{COMPOSITE}/measurement": (1, 5),
+            f"{COMPOSITE}/estimate": (1, 2),
+            f"{COMPOSITE}/reference": (1, 2),
+            f"{COMPOSITE}/command": (2, 2),
+            f"{POLYNOMIAL}/measurement": (1, 3),
+            f"{POLYNOMIAL}/estimate": (1, 2),
+            f"{POLYNOMIAL}/reference": (1, 2),
+            f"{POLYNOMIAL}/command": (1, 2),
+            SIDE_ESTIMATE: (1, 1),
+        }
+    )
     stage.say(f"{len(nodes) + 3} processes are on the graph")

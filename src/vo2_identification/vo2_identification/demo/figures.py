@@ -1,0 +1,101 @@
+"""The figures of the demo's report."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
+
+from vo2_identification.demo.errors import PhaseData
+from vo2_identification.report.figures import COLOURS, LINES, figure_html, new_figure
+
+__all__ = ["identification_figure", "random_figure", "tracking_figure"]
+
+_UM = 1e6
+_POINTS = 2500
+_TITLES = {"steps": "Steps", "sine": "Sinusoid", "multisine": "Two frequencies"}
+
+
+def identification_figure(recording: Recording, model: Recording) -> str:
+    """Return resistance and deflection over current: measured and from the fitted model."""
+    with new_figure(height_in=3.2) as figure:
+        left, right = figure.subplots(1, 2)
+        current = recording[HEATER_CURRENT] * 1e3
+        for axes, channel, scale in ((left, RESISTANCE, 1e-3), (right, TIP_DEFLECTION, _UM)):
+            axes.plot(
+                current, recording[channel] * scale, ".", ms=1.5, color=COLOURS["true"], label="measured"
+            )
+            axes.plot(
+                current, model[channel] * scale, "-", lw=0.6, color=COLOURS["fit"], label="fitted model"
+            )
+            axes.set_xlabel("heater current [mA]")
+            axes.legend()
+        left.set_yscale("log")
+        left.set_ylabel("film resistance [kΩ]")
+        right.set_ylabel("tip deflection [µm]")
+        return figure_html(
+            figure,
+            "Damped oscillation of the current: resistance and deflection, measured and from the fitted model.",
+        )
+
+
+def random_figure(data: dict[str, PhaseData]) -> str:
+    """Return deflection over time under random levels, and the distribution of the errors."""
+    with new_figure(height_in=3.2) as figure:
+        left, right = figure.subplots(1, 2, width_ratios=[2, 1])
+        shown = slice(0, 800)
+        first = next(iter(data.values()))
+        left.plot(
+            first.time_s[shown], first.true_m[shown] * _UM, "-", color=COLOURS["true"], label="true", lw=1.4
+        )
+        for scheme, each in data.items():
+            style = {"color": COLOURS[scheme], "ls": LINES[scheme]}
+            left.plot(each.time_s[shown], each.estimate_m[shown] * _UM, lw=0.8, label=scheme, **style)
+            error = np.sort(np.abs(each.estimate_m - each.true_m)) * _UM
+            right.plot(error, np.linspace(0, 100, error.size), label=scheme, **style)
+        left.set(xlabel="time [s]", ylabel="tip deflection [µm]")
+        right.set(xlabel="|estimate − true| [µm]", ylabel="share of samples below [%]")
+        right.set_xscale("log")
+        for axes in (left, right):
+            axes.legend()
+        return figure_html(
+            figure, "Random current levels, open loop: estimates (first 0.8 s) and how large the errors are."
+        )
+
+
+def tracking_figure(signal: str, data: dict[str, PhaseData]) -> str:
+    """Return reference and true deflection over time for both schemes, and the tracking errors."""
+    with new_figure(height_in=3.6) as figure:
+        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
+        for scheme, each in data.items():
+            k = _thinned(each.time_s.size)
+            style: dict[str, Any] = {
+                "color": COLOURS[scheme],
+                "ls": LINES[scheme],
+                "lw": 0.8,
+                "label": scheme,
+            }
+            top.plot(each.time_s[k], each.true_m[k] * _UM, **style)
+            bottom.plot(each.time_s[k], (each.true_m - each.reference_m)[k] * _UM, **style)
+        first = next(iter(data.values()))
+        k = _thinned(first.time_s.size)
+        top.plot(
+            first.time_s[k],
+            first.reference_m[k] * _UM,
+            color=COLOURS["reference"],
+            ls=":",
+            lw=1.5,
+            label="reference",
+        )
+        top.set(ylabel="true deflection [µm]", title=_TITLES[signal])
+        bottom.set(xlabel="time [s]", ylabel="error [µm]", ylim=(-6, 6))
+        top.legend(ncols=3)
+        return figure_html(
+            figure,
+            f"{_TITLES[signal]}: true deflection under control on the estimate, and its distance from the reference.",
+        )
+
+
+def _thinned(count: int) -> slice:
+    return slice(0, count, max(1, count // _POINTS))
