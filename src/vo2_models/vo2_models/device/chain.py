@@ -113,7 +113,7 @@ def _sense(c, channel, value, normal, time, period, sample, memory, line):
     return min(max(out, c[at + N.LOW]), c[at + N.HIGH])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def run_chain(
     kind, c, mode, packed_r, packed_d, poly_r, poly_d, levels, domains,
     x, play_r, play_d, metallic, line, sensors, sensor_lines,

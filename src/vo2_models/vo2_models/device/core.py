@@ -91,8 +91,21 @@ def leading(kind, packed_d):
 
 
 @njit(cache=True, error_model="numpy")
+def _followed(which, equilibrium, ramp, c, x):
+    """Transition output after a step at whose end its equilibrium is `equilibrium`: tau_k ds/dt = s_eq - s.
+
+    Exact for an equilibrium that moves linearly through the step; `ramp` = (tau_k / h) (1 - exp(-h / tau_k)).
+    """
+    if c[C.KINETICS] <= 0.0:
+        return equilibrium
+    before = x[S.EQUILIBRIUM_R + which]
+    left = math.exp(-x[S.LAG_STEP] / c[C.KINETICS])
+    return equilibrium - (equilibrium - before) * ramp + (x[S.RAW_R + which] - before) * left
+
+
+@njit(cache=True, error_model="numpy")
 def _fraction_at(
-    kind, lead, film, follow, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic
+    kind, lead, film, ramp, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic
 ):  # fmt: skip
     """Leading phase fraction after a move of the film to the temperature `film` that is not made."""
     v = film + lead * c[C.TRANSITION_OFFSET]
@@ -100,8 +113,7 @@ def _fraction_at(
         raw = _peek(kind, lead, v, packed_d, play_d, levels, domains, metallic, x)
     else:
         raw = _peek(kind, lead, v, packed_r, play_r, levels, domains, metallic, x)
-    raw = x[S.RAW_R + lead] + follow * (raw - x[S.RAW_R + lead])
-    return fraction_of(kind, lead, raw, c)
+    return fraction_of(kind, lead, _followed(lead, raw, ramp, c, x), c)
 
 
 @njit(cache=True, error_model="numpy")
@@ -123,6 +135,8 @@ def initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, 
     x[S.PREVIOUS_D] = -1e6
     x[S.RAW_R] = _move(kind, 0, rest, packed_r, play_r, levels, domains, metallic, x)
     x[S.RAW_D] = _move(kind, 1, rest + c[C.TRANSITION_OFFSET], packed_d, play_d, levels, domains, metallic, x)
+    x[S.EQUILIBRIUM_R] = x[S.RAW_R]
+    x[S.EQUILIBRIUM_D] = x[S.RAW_D]
     x[S.OUT_R] = x[S.RAW_R]
     x[S.OUT_D] = x[S.RAW_D]
     lead = leading(kind, packed_d)
@@ -192,7 +206,7 @@ def _heat(c, x, current, h, time, background):
 
 @njit(cache=True, error_model="numpy")
 def _solve_latent(
-    kind, lead, c, x, heat, follow, slope, rest, packed_r, packed_d, play_r, play_d, levels, domains, metallic
+    kind, lead, c, x, heat, ramp, slope, rest, packed_r, packed_d, play_r, play_d, levels, domains, metallic
 ):
     """Temperature of the fast mode at which the heat is spent on temperature and phase on this branch.
 
@@ -207,7 +221,7 @@ def _solve_latent(
         kind,
         lead,
         slope * fast + rest,
-        follow,
+        ramp,
         c,
         x,
         packed_r,
@@ -225,7 +239,7 @@ def _solve_latent(
     for _ in range(4):
         fast = high - f_high * (high - low) / (f_high - f_low)
         there = _fraction_at(
-            kind, lead, slope * fast + rest, follow, c, x, packed_r, packed_d, play_r, play_d, levels, domains,
+            kind, lead, slope * fast + rest, ramp, c, x, packed_r, packed_d, play_r, play_d, levels, domains,
             metallic,
         )  # fmt: skip
         value = fast - x[S.FAST] - heat + c[C.LATENT] * (there - s)
@@ -252,9 +266,9 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
     if _laser_on(c, time):
         film_extra += c[C.LASER_FILM]
     shift = c[C.TRAINING] * x[S.REVERSALS]
-    follow = 1.0
+    ramp = 0.0
     if c[C.KINETICS] > 0.0:
-        follow = -math.expm1(-h / c[C.KINETICS])
+        ramp = -math.expm1(-h / c[C.KINETICS]) * c[C.KINETICS] / h
     # stage = (1 - share) fast + share (slow + ambient); the film sits a little above its stage
     share = c[C.SLOW_SHARE]
     before = x[S.FAST]
@@ -262,7 +276,7 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
     if c[C.LATENT] != 0.0:
         rest = share * (x[S.SLOW] + background) + film_extra + shift
         fast = _solve_latent(
-            kind, lead, c, x, heat, follow, 1.0 - share, rest, packed_r, packed_d, play_r, play_d, levels, domains,
+            kind, lead, c, x, heat, ramp, 1.0 - share, rest, packed_r, packed_d, play_r, play_d, levels, domains,
             metallic,
         )  # fmt: skip
     x[S.FAST] = fast
@@ -282,7 +296,7 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
                 kind,
                 lead,
                 effective,
-                follow,
+                ramp,
                 c,
                 x,
                 packed_r,
@@ -296,13 +310,14 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
             effective = seen + c[C.INCONGRUENCY] * (there - 0.5)
     raw_r = _move(kind, 0, effective, packed_r, play_r, levels, domains, metallic, x)
     raw_d = _move(kind, 1, effective + c[C.TRANSITION_OFFSET], packed_d, play_d, levels, domains, metallic, x)
-    if follow < 1.0:
-        raw_r = x[S.RAW_R] + follow * (raw_r - x[S.RAW_R])
-        raw_d = x[S.RAW_D] + follow * (raw_d - x[S.RAW_D])
-    x[S.RAW_R] = raw_r
-    x[S.RAW_D] = raw_d
-    x[S.OUT_R] = raw_r
-    x[S.OUT_D] = raw_d
+    followed_r = _followed(0, raw_r, ramp, c, x)
+    followed_d = _followed(1, raw_d, ramp, c, x)
+    x[S.EQUILIBRIUM_R] = raw_r
+    x[S.EQUILIBRIUM_D] = raw_d
+    x[S.RAW_R] = followed_r
+    x[S.RAW_D] = followed_d
+    x[S.OUT_R] = followed_r
+    x[S.OUT_D] = followed_d
     if c[C.RELAXATION] != 0.0 or c[C.REVERSIBLE] != 0.0:
         _add_reversible(kind, lead, c, x, film, h)
     if c[C.FEEDBACK] != 0.0:

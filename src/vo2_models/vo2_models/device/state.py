@@ -35,7 +35,9 @@ class Slot(IntEnum):
     CARRY = auto()  # K, enthalpy not yet turned into temperature or phase
     RAW_R = auto()  # transition outputs, before relaxation and reversible part
     RAW_D = auto()
-    OUT_R = auto()  # ... and after
+    EQUILIBRIUM_R = auto()  # what the transitions would have without kinetics
+    EQUILIBRIUM_D = auto()
+    OUT_R = auto()  # after relaxation and reversible part
     OUT_D = auto()
     FRACTION = auto()  # of the leading transition
     PREVIOUS_R = auto()  # degC, last inputs of the domain ensembles

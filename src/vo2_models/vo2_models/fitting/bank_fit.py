@@ -6,17 +6,18 @@ weights are fitted as logarithms, so they stay positive and the envelopes cannot
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 from scipy.special import ndtri
 
 from vo2_models.device.bank import PlayBank
+from vo2_models.fitting.levenberg_marquardt import levenberg_marquardt
 from vo2_models.fitting.sensitivity import play_sensitivities
 
-__all__ = ["BankFit", "BankShape", "fit_bank", "starting_shape"]
+__all__ = ["BankFit", "BankShape", "ShapeRules", "evaluate", "fit_bank", "shape_rules", "starting_shape"]
 
 Floats = NDArray[np.float64]
 
@@ -55,6 +56,29 @@ class BankShape:
         """Return the shape that `vector` holds."""
         parts = [vector[k * plays : (k + 1) * plays] for k in range(4)]
         return cls(parts[0], parts[1], parts[2], parts[3], vector[4 * plays :])
+
+    @classmethod
+    def of_bank(cls, bank: PlayBank) -> BankShape:
+        """Return the fitting coordinates of a bank; raise a `ValueError` where it has none."""
+        slope, falling = np.asarray(bank.rising_slopes), np.asarray(bank.falling_slopes)
+        weights = np.asarray(bank.weights)
+        if np.any(np.asarray(bank.radii) != 0.0) or not np.allclose(slope, falling) or np.any(weights <= 0.0):
+            raise ValueError(
+                "bank: found play radii, unequal slopes or weights <= 0, need a bank that a fit wrote"
+            )
+        rising = -np.asarray(bank.rising_offsets) / slope
+        falling = -np.asarray(bank.falling_offsets) / slope
+        line = np.polynomial.Polynomial([POLYNOMIAL_CENTRE, POLYNOMIAL_SCALE])
+        powers = np.polynomial.Polynomial(np.asarray(bank.polynomial))(line)
+        coefficients = np.zeros(np.size(bank.polynomial))
+        coefficients[: powers.coef.size] = powers.coef
+        return cls(
+            log_slope=np.log(slope),
+            centre=0.5 * (rising + falling),
+            log_width=np.log(0.5 * (rising - falling)),
+            log_weight=np.log(weights),
+            polynomial=coefficients,
+        )
 
     def bank(self) -> PlayBank:
         """Return the bank in the model file's parameters, widest play last."""
@@ -119,6 +143,34 @@ def starting_shape(temperature: Floats, values: Floats, *, plays: int, degree: i
     )
 
 
+@dataclass(frozen=True)
+class ShapeRules:
+    """Bounds, largest steps and prior precisions of the fitting coordinates, each (4 N + m,)."""
+
+    lower: Floats
+    upper: Floats
+    largest: Floats
+    prior: Floats
+
+
+def shape_rules(plays: int, size: int, values: Floats) -> ShapeRules:
+    """Return the rules for a bank of `plays` fitted to `values`.
+
+    The prior lets a play move by a factor or a few kelvin at the price of a few samples of one per cent of
+    range; it only keeps plays in place that the data say nothing about. The polynomial is free.
+    """
+    span = max(float(np.nanmax(values) - np.nanmin(values)), 1e-300)
+    prior, largest = np.zeros(size), np.full(size, np.inf)
+    lower, upper = np.full(size, -np.inf), np.full(size, np.inf)
+    for part, sigma in enumerate((1.0, 6.0, 1.0, 2.0)):
+        prior[part * plays : (part + 1) * plays] = 2.0 * (0.01 * span / sigma) ** 2
+        largest[part * plays : (part + 1) * plays] = 3.0
+    for part, (low, high) in ((0, _SLOPE), (2, _WIDTH), (3, (_WEIGHT[0] * span, _WEIGHT[1] * span))):
+        lower[part * plays : (part + 1) * plays] = np.log(low)
+        upper[part * plays : (part + 1) * plays] = np.log(high)
+    return ShapeRules(lower, upper, largest, prior)
+
+
 def evaluate(shape: BankShape, temperature: Floats) -> tuple[Floats, Floats]:
     """Return the model's output (n,) and its derivatives (n, 4 N + m) along a temperature (n,) [degC]."""
     slope, width, weight = (np.exp(v) for v in (shape.log_slope, shape.log_width, shape.log_weight))
@@ -138,8 +190,8 @@ def fit_bank(
     start: BankShape,
     *,
     weights: Floats | None = None,
-    iterations: int = 60,
-    tolerance: float = 1e-4,
+    iterations: int = 120,
+    tolerance: float = 3e-5,
 ) -> BankFit:
     """Fit a bank to `values` (n,) over `temperature` (n,) [degC] from a start.
 
@@ -161,54 +213,23 @@ def fit_bank(
     plays = start.centre.size
     if np.count_nonzero(ok) < 2 * theta.size:
         raise ValueError(f"values: found {np.count_nonzero(ok)} measured, need at least {2 * theta.size}")
-    span = max(float(np.ptp(values[ok])), 1e-300)
     root = np.ones(np.count_nonzero(ok)) if weights is None else np.sqrt(weights[ok])
-    origin = theta.copy()
-    # prior: a play may move freely by a factor or a few kelvin; worth a few samples of one per cent of range
-    stiff = np.zeros(theta.size)
-    for part, sigma in enumerate((1.0, 6.0, 1.0, 2.0)):
-        stiff[part * plays : (part + 1) * plays] = (0.01 * span / sigma) ** 2 * 2.0
+    rules = shape_rules(plays, theta.size, values)
 
-    def cost(vector: Floats) -> tuple[float, Floats, Floats]:
+    def gap(vector: Floats) -> tuple[Floats, Callable[[], Floats]]:
         model, jacobian = evaluate(BankShape.of(vector, plays), temperature)
-        gap = (values - model)[ok] * root
-        return float(gap @ gap + stiff @ (vector - origin) ** 2), gap, jacobian
+        return (model - values)[ok] * root, lambda: jacobian[ok] * root[:, None]
 
-    now, gap, jacobian = cost(theta)
-    damping = 1e-2
-    taken = 0
-    quiet = 0
-    while taken < iterations:
-        taken += 1
-        j = jacobian[ok] * root[:, None]
-        normal = j.T @ j + np.diag(stiff)
-        slope = j.T @ gap - stiff * (theta - origin)
-        scale = np.diag(normal) + 1e-12 * np.trace(normal) / theta.size
-        for _ in range(8):
-            move = cho_solve(cho_factor(normal + damping * np.diag(scale)), slope)
-            trial = _bounded(theta + np.clip(move, -3.0, 3.0), theta, plays, span)
-            then, gap_then, jacobian_then = cost(trial)
-            if then < now:
-                break
-            damping *= 4.0
-        else:
-            break
-        gain = (now - then) / now
-        theta, now, gap, jacobian = trial, then, gap_then, jacobian_then
-        damping = max(damping / 5.0, 1e-9)
-        quiet = quiet + 1 if gain < tolerance else 0
-        if quiet >= 2:
-            break
-    shape = BankShape.of(theta, plays)
+    found = levenberg_marquardt(
+        gap,
+        theta,
+        lower=rules.lower,
+        upper=rules.upper,
+        largest_step=rules.largest,
+        prior=rules.prior,
+        steps=iterations,
+        tolerance=tolerance,
+    )
+    shape = BankShape.of(found.theta, plays)
     model, jacobian = evaluate(shape, temperature)
-    return BankFit(shape, values - model, jacobian, taken)
-
-
-def _bounded(vector: Floats, before: Floats, plays: int, span: float) -> Floats:
-    """Keep slopes, half widths and weights within their bounds (the polynomial is free)."""
-    out = vector.copy()
-    # the polynomial is linear: its step is not limited by the clip on the shapes
-    for part, (low, high) in ((0, _SLOPE), (2, _WIDTH), (3, (_WEIGHT[0] * span, _WEIGHT[1] * span))):
-        rows = slice(part * plays, (part + 1) * plays)
-        out[rows] = np.clip(out[rows], np.log(low), np.log(high))
-    return out
+    return BankFit(shape, values - model, jacobian, found.steps)

@@ -12,9 +12,10 @@ from scipy.optimize import least_squares
 from vo2_models.device.bank import PlayBank
 from vo2_models.device.model import DeviceModel, SensorModel
 from vo2_models.device.presets import preset
-from vo2_models.fitting.bank_fit import BankFit, evaluate, fit_bank, starting_shape
+from vo2_models.fitting.bank_fit import BankFit, BankShape, evaluate, fit_bank, shape_rules, starting_shape
 from vo2_models.fitting.bank_uncertainty import bank_uncertainty
 from vo2_models.fitting.grid import GriddedRecording, on_grid
+from vo2_models.fitting.levenberg_marquardt import levenberg_marquardt
 from vo2_models.fitting.noise import correlation_inflation, noise_of_residual, residual_colour
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
 
@@ -210,81 +211,137 @@ def _fit_loops(
         say(f"loop of {name}", 0.1 + 0.25 * k)
         start = starting_shape(path, values[name], plays=plays)
         fits[name] = fit_bank(path, values[name], start)
-    scalars = dict(model.scalars)
-    std: dict[str, float] = {}
-    notes: list[str] = []
-    for turn in range(5 if thermal else 0):
-        say("transients", 0.6 + 0.05 * turn)
-        trial = replace(model, scalars=scalars)
-        moved, std, notes = _thermal_step(trial, grids, path, fits, settled)
-        change = abs(np.log(moved["thermal.time_constant"] / scalars["thermal.time_constant"]))
-        change += (
-            abs(moved["driver.dead_time"] - scalars["driver.dead_time"]) / scalars["thermal.time_constant"]
+    loops = _Loops(dict(model.scalars), {}, path, fits, settled)
+    if not thermal:
+        return loops
+    say("transients", 0.6)
+    spread = _thermal_spread(model, grids, loops)
+    tau = model.scalars["thermal.time_constant"]
+    if spread["thermal.time_constant"] > 0.25 * tau:
+        note = "no transients in the recording: time constant and dead time are the preset's"
+        return replace(loops, notes=(note,))
+    loops = _fit_together(model, grids, loops, values)
+    return replace(loops, std=_thermal_spread(replace(model, scalars=loops.scalars), grids, loops))
+
+
+_THERMAL = ("thermal.time_constant", "driver.dead_time")
+
+
+def _thermal_columns(
+    model: DeviceModel, grids: Sequence[GriddedRecording], loops: _Loops
+) -> list[dict[str, Floats]]:
+    """Derivative of each channel by the logarithm of the time constant and by the dead time in time constants."""
+    tau = model.scalars["thermal.time_constant"]
+    found = []
+    for name, step in zip(_THERMAL, (0.01, 0.02), strict=True):
+        moved = (
+            model.scalars[name] * (1.0 + step) if name == _THERMAL[0] else model.scalars[name] + step * tau
         )
-        if change < 1e-3:
-            break
-        scalars = moved
-        path = _film_path(replace(model, scalars=scalars), grids, settled)
-        fits = {name: fit_bank(path, values[name], fit.shape, iterations=25) for name, fit in fits.items()}
-    return _Loops(scalars, std, path, fits, settled, tuple(notes))
+        other = _film_path(replace(model, scalars={**model.scalars, name: moved}), grids, loops.settled)
+        found.append(
+            {
+                channel: (evaluate(fit.shape, other)[0] - evaluate(fit.shape, loops.path)[0]) / step
+                for channel, fit in loops.fits.items()
+            }
+        )
+    return found
 
 
-def _thermal_step(
-    model: DeviceModel,
-    grids: Sequence[GriddedRecording],
-    path: Floats,
-    fits: dict[str, BankFit],
-    settled: bool,
-) -> tuple[dict[str, float], dict[str, float], list[str]]:
-    """One Gauss-Newton step of time constant and dead time with the banks free (their tangent projected out)."""
-    scalars = dict(model.scalars)
-    tau = scalars["thermal.time_constant"]
-    dt = grids[0].dt
-    moves = {"thermal.time_constant": 0.02 * tau, "driver.dead_time": 0.05 * max(dt, 0.1 * tau)}
-    columns, gaps = [], []
-    for name, step in moves.items():
-        other = _film_path(replace(model, scalars=scalars | {name: scalars[name] + step}), grids, settled)
-        parts = []
-        for fit in fits.values():
-            ok = np.isfinite(fit.residual)
-            sigma = float(np.sqrt(np.mean(fit.residual[ok] ** 2)))
-            slope = (evaluate(fit.shape, other)[0] - evaluate(fit.shape, path)[0])[ok] / step
-            parts.append(_without_tangent(slope, fit.jacobian[ok]) / sigma)
-        columns.append(np.concatenate(parts))
-    for fit in fits.values():
+def _thermal_spread(model: DeviceModel, grids: Sequence[GriddedRecording], loops: _Loops) -> dict[str, float]:
+    """Standard deviations [s] of time constant and dead time with the banks free (their tangent projected out).
+
+    Sandwich estimate over blocks of 50 samples, so that a residual which is correlated and larger on some branches
+    counts as such. It knows the scatter, not the bias that a wrong loop shape may cause.
+    """
+    tau = model.scalars["thermal.time_constant"]
+    columns = _thermal_columns(model, grids, loops)
+    information = np.zeros((2, 2))
+    scores = []
+    for channel, fit in loops.fits.items():
         ok = np.isfinite(fit.residual)
-        sigma = float(np.sqrt(np.mean(fit.residual[ok] ** 2)))
-        gaps.append(_without_tangent(fit.residual[ok], fit.jacobian[ok]) / sigma)
-    gap = np.concatenate(gaps)
-    inflation = correlation_inflation(gap)
-    matrix = np.column_stack(columns)
-    names = list(moves)
-    notes = []
-    free = list(range(2))
-    normal = matrix.T @ matrix
-    if 1.0 / np.sqrt(max(normal[0, 0], 1e-300)) * np.sqrt(inflation) > 0.25 * tau:
-        notes.append("no transients in the recording: time constant and dead time are the preset's")
-        return scalars, {}, notes
-    step_now, spread = _solve(matrix, gap, free, inflation)
-    dead = scalars["driver.dead_time"] + step_now[1]
-    if dead < 2.0 * spread[1]:
-        # not told apart from the nominal dead time's lower bound: leave it at zero or at the preset's value
-        back = preset(model.device).dead_time - scalars["driver.dead_time"]
-        step_now, spread_tau = _solve(matrix[:, :1], gap - matrix[:, 1] * back, [0], inflation)
-        step_now, spread = np.array([step_now[0], back]), np.array([spread_tau[0], spread[1]])
-    scalars[names[0]] = float(np.clip(tau + step_now[0], 0.6 * tau, 1.6 * tau))
-    scalars[names[1]] = float(max(scalars[names[1]] + step_now[1], 0.0))
-    return scalars, dict(zip(names, spread.tolist(), strict=True)), notes
+        sigma = _effective_deviation(fit.residual)
+        both = np.column_stack([column[channel][ok] for column in columns]) / sigma
+        clean = _without_tangent(both, fit.jacobian[ok])
+        information += clean.T @ clean
+        score = clean * (fit.residual[ok] / sigma)[:, None]
+        scores += [block.sum(axis=0) for block in np.array_split(score, max(len(score) // 50, 2))]
+    inverse = np.linalg.pinv(information)
+    meat = np.einsum("bi,bj->ij", np.array(scores), np.array(scores))
+    covariance = np.maximum(np.diag(inverse @ meat @ inverse), np.diag(inverse))
+    # a direction without any information has no finite deviation
+    deviation = np.where(np.diag(information) <= 0.0, np.inf, np.sqrt(covariance)) * tau
+    return dict(zip(_THERMAL, deviation.tolist(), strict=True))
 
 
-def _solve(matrix: Floats, gap: Floats, free: list[int], inflation: float) -> tuple[Floats, Floats]:
-    """Least-squares step and its standard deviations for residuals of unit variance."""
-    inverse = np.linalg.pinv(matrix[:, free].T @ matrix[:, free])
-    return inverse @ (matrix[:, free].T @ gap), np.sqrt(np.diag(inverse) * inflation)
+def _fit_together(
+    model: DeviceModel, grids: Sequence[GriddedRecording], loops: _Loops, values: dict[str, Floats]
+) -> _Loops:
+    """Fit time constant, dead time and all banks at once."""
+    tau = model.scalars["thermal.time_constant"]
+    start = np.array([0.0, model.scalars["driver.dead_time"] / tau])
+    channels = list(loops.fits)
+    plays = {name: fit.shape.centre.size for name, fit in loops.fits.items()}
+    sizes = [2] + [fit.shape.vector.size for fit in loops.fits.values()]
+    ends = np.cumsum(sizes)
+    ok = {name: np.isfinite(v) for name, v in values.items()}
+    # a residual that is correlated (a wrong loop shape, not noise) counts for as much less as it is correlated
+    sigma = {name: _effective_deviation(fit.residual) for name, fit in loops.fits.items()}
+    rules = {name: shape_rules(plays[name], sizes[1 + k], values[name]) for k, name in enumerate(channels)}
+
+    def unpack(vector: Floats) -> tuple[DeviceModel, _Loops]:
+        scalars = {
+            **model.scalars,
+            _THERMAL[0]: tau * float(np.exp(vector[0])),
+            _THERMAL[1]: tau * float(vector[1]),
+        }
+        at = replace(model, scalars=scalars)
+        path = _film_path(at, grids, loops.settled)
+        fits = {}
+        for k, name in enumerate(channels):
+            shape = BankShape.of(vector[ends[k] : ends[k + 1]], plays[name])
+            output, jacobian = evaluate(shape, path)
+            fits[name] = BankFit(shape, values[name] - output, jacobian, 0)
+        return at, replace(loops, scalars=scalars, path=path, fits=fits)
+
+    def gap(vector: Floats) -> tuple[Floats, Callable[[], Floats]]:
+        at, here = unpack(vector)
+        residual = np.concatenate([-here.fits[name].residual[ok[name]] / sigma[name] for name in channels])
+
+        def jacobian() -> Floats:
+            columns = _thermal_columns(at, grids, here)
+            # the dead time is counted in time constants of the start, the columns in the present one's
+            columns[1] = {name: v * tau / at.scalars[_THERMAL[0]] for name, v in columns[1].items()}
+            blocks = []
+            for k, name in enumerate(channels):
+                rows = ok[name]
+                block = np.zeros((int(np.count_nonzero(rows)), int(ends[-1])))
+                block[:, 0], block[:, 1] = columns[0][name][rows], columns[1][name][rows]
+                block[:, ends[k] : ends[k + 1]] = here.fits[name].jacobian[rows]
+                blocks.append(block / sigma[name])
+            return np.concatenate(blocks)
+
+        return residual, jacobian
+
+    found = levenberg_marquardt(
+        gap,
+        np.concatenate([start] + [fit.shape.vector for fit in loops.fits.values()]),
+        lower=np.concatenate([[-3.0, 0.0]] + [rules[name].lower for name in channels]),
+        upper=np.concatenate([[3.0, 20.0]] + [rules[name].upper for name in channels]),
+        largest_step=np.concatenate([[0.3, 0.3]] + [rules[name].largest for name in channels]),
+        prior=np.concatenate([[0.0, 0.0]] + [rules[name].prior / sigma[name] ** 2 for name in channels]),
+        steps=40,
+        tolerance=3e-5,
+    )
+    return unpack(found.theta)[1]
+
+
+def _effective_deviation(residual: Floats) -> float:
+    """Standard deviation of a residual (n,), as large as its correlation makes it for a slow signal."""
+    return float(np.sqrt(np.nanmean(residual**2) * correlation_inflation(residual)))
 
 
 def _without_tangent(vector: Floats, jacobian: Floats) -> Floats:
-    """Part of a vector (n,) that no change of the bank's parameters can make."""
+    """Part of vectors (n, m) that no change of the bank's parameters can make."""
     scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
     j = jacobian / np.where(scale > 0.0, scale, 1.0)
     normal = j.T @ j + 1e-8 * np.eye(j.shape[1])

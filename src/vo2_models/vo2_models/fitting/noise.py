@@ -44,10 +44,11 @@ def noise_of_residual(residual: Floats, signal: Floats) -> tuple[float, float]:
 
 def _autocorrelation(residual: Floats, lags: int) -> Floats:
     e = np.where(np.isfinite(residual), residual - np.nanmean(residual), 0.0)
-    power = float(e @ e)
-    if power == 0.0:
+    size = 2 ** int(np.ceil(np.log2(2 * e.size)))
+    power = np.fft.irfft(np.abs(np.fft.rfft(e, size)) ** 2, size)
+    if power[0] <= 0.0:
         return np.zeros(lags)
-    return np.array([float(e[:-k] @ e[k:]) / power for k in range(1, lags + 1)])
+    return power[1 : lags + 1] / power[0]
 
 
 def residual_colour(residual: Floats, order: int = 2) -> tuple[float, ...]:
