@@ -19,6 +19,7 @@ _HOME = {
     "fit_nonmonotonic": "nonmonotonic",
     "fit_polynomial": "polynomial",
     "fit_preisach": "least_squares",
+    "fit_smooth": "smooth_fit",
     "identify_compressed": "compressive_sensing",
     "identify_preisach_compressed": "compressive_sensing",
     "signed_area_matrix": "signed_area",

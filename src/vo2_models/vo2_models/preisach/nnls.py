@@ -55,7 +55,9 @@ def _pivot(
     raise ArithmeticError("non-negative least squares did not settle; the problem is too badly conditioned")
 
 
-def normal_equations(normal: Floats, right: Floats, free: Booleans) -> tuple[Floats, Booleans]:
+def normal_equations(
+    normal: Floats, right: Floats, free: Booleans, start: Booleans | None = None
+) -> tuple[Floats, Booleans]:
     """Minimise x'Nx/2 - r'x over x >= 0 (`free` elements unbounded); return x and which elements are not held at 0.
 
     Parameters
@@ -63,6 +65,7 @@ def normal_equations(normal: Floats, right: Floats, free: Booleans) -> tuple[Flo
     normal : (n, n) symmetric positive definite
     right : (n,)
     free : (n,) True where the sign does not matter
+    start : (n,) first guess of what is not held at 0, such as that of a similar problem
 
     Raises
     ------
@@ -92,7 +95,7 @@ def normal_equations(normal: Floats, right: Floats, free: Booleans) -> tuple[Flo
         return x, y
 
     largest = float(np.max(np.abs(target), initial=0.0))
-    everywhere = np.ones(right.size, dtype=np.bool_)
+    everywhere = np.ones(right.size, dtype=np.bool_) if start is None else start | free
     # errors of x are those of the gradient times the inverse's size; 1e-10 of the data is below any noise
     x, _, inner = _pivot(solve, everywhere, free, (1e-11 * largest, 1e-11 * largest))
     return np.where(free, x, np.maximum(x, 0.0)) / size, inner
