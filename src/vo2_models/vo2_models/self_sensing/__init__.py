@@ -9,12 +9,14 @@ from importlib import import_module
 from typing import Any
 
 _HOME = {
-    "KINDS": "scheme",
-    "PARAMETERS": "scheme",
+    "KINDS": "records",
+    "PARAMETERS": "records",
     "Estimate": "scheme",
     "SelfSensing": "scheme",
     "self_sensing": "scheme",
     "CompositeSelfSensing": "composite",
+    "DirectEGPISelfSensing": "direct_egpi",
+    "DirectPreisachSelfSensing": "direct_preisach",
     "PolynomialSelfSensing": "polynomial",
     "characterise": "characterise",
     "identify": "identification",

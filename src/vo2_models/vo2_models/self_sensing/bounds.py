@@ -12,31 +12,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from vo2_models.parameters import Parameter, Value
+from vo2_models.parameters import Value
+from vo2_models.self_sensing.records import BOUND_KNOTS, SECTION
 
-__all__ = ["BOUND_PARAMETERS", "COVERAGE", "bound_table", "fit_bound", "table_at"]
+__all__ = ["COVERAGE", "bound_table", "fit_bound", "table_at"]
 
 Floats = NDArray[np.float64]
 
 COVERAGE = 0.95
 """Share of the identification errors that lies within the bound."""
-_KNOTS = "model.self_sensing.bounds.log10_resistance"
-
-BOUND_PARAMETERS: tuple[Parameter, ...] = (
-    Parameter(
-        _KNOTS, [], "1", "log10 of the resistances in ohm at which error bounds stand", kind="float_array"
-    ),
-    *(
-        Parameter(
-            f"model.self_sensing.bounds.{kind}",
-            [],
-            "m",
-            f"error bound of the {kind} scheme at those resistances: 95 % of the identification errors were smaller",
-            kind="float_array",
-        )
-        for kind in ("composite", "polynomial")
-    ),
-)
 
 
 def fit_bound(log_resistance: Floats, error: Floats, knots: Floats) -> Floats:
@@ -65,10 +49,8 @@ def fit_bound(log_resistance: Floats, error: Floats, knots: Floats) -> Floats:
 
 def bound_table(kind: str, parameters: Mapping[str, Value]) -> Floats:
     """Return [knots..., bounds...] (2 m,) of a scheme from flat parameters; one knot with NaN where there is none."""
-    knots = np.atleast_1d(np.asarray(parameters.get(_KNOTS, []), dtype=np.float64))
-    bounds = np.atleast_1d(
-        np.asarray(parameters.get(f"model.self_sensing.bounds.{kind}", []), dtype=np.float64)
-    )
+    knots = np.atleast_1d(np.asarray(parameters.get(BOUND_KNOTS, []), dtype=np.float64))
+    bounds = np.atleast_1d(np.asarray(parameters.get(f"{SECTION}.bounds.{kind}", []), dtype=np.float64))
     if knots.size == 0 or bounds.size != knots.size:
         return np.array([0.0, np.nan])
     return np.concatenate([knots, bounds])

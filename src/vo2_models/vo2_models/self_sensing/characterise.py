@@ -8,9 +8,12 @@ import numpy as np
 
 from vo2_models.parameters import Value
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
-from vo2_models.self_sensing.bounds import BOUND_PARAMETERS, fit_bound
+from vo2_models.self_sensing.bounds import fit_bound
+from vo2_models.self_sensing.direct_egpi import DirectEGPISelfSensing
+from vo2_models.self_sensing.direct_preisach import DirectPreisachSelfSensing
 from vo2_models.self_sensing.polynomial import PolynomialSelfSensing
-from vo2_models.self_sensing.scheme import KINDS, self_sensing
+from vo2_models.self_sensing.records import BOUND_KNOTS, KINDS, SECTION
+from vo2_models.self_sensing.scheme import self_sensing
 
 __all__ = ["characterise"]
 
@@ -18,7 +21,7 @@ _BINS = 24
 
 
 def characterise(
-    recording: Recording, parameters: Mapping[str, Value], *, degree: int = 8
+    recording: Recording, parameters: Mapping[str, Value], *, degree: int = 8, plays: int = 6, level: int = 20
 ) -> dict[str, Value]:
     """Return `model.self_sensing.*` parameters from the recording a model was fitted on.
 
@@ -27,6 +30,8 @@ def characterise(
     recording : identification recording with `film_resistance` [ohm] and `tip_deflection` [m]
     parameters : flat `model.*` parameters of the fitted laws
     degree : of the polynomial (section 7.3.1 uses 8, section 8.2 uses 9)
+    plays : of the direct EGPI model (section 7.3.1 uses 6)
+    level : of the direct Preisach model (section 7.3.1 uses 10, whose cells are wider than the loop)
 
     Raises
     ------
@@ -40,13 +45,17 @@ def characterise(
     resistance, deflection = recording[RESISTANCE], recording[TIP_DEFLECTION]
     usable = np.isfinite(resistance) & np.isfinite(deflection) & (resistance > 0)
     resistance, deflection = resistance[usable], deflection[usable]
-    found = PolynomialSelfSensing.fit(resistance, deflection, degree).to_parameters()
+    found = {
+        **PolynomialSelfSensing.fit(resistance, deflection, degree).to_parameters(),
+        **DirectEGPISelfSensing.fit(resistance, deflection, plays).to_parameters(),
+        **DirectPreisachSelfSensing.fit(resistance, deflection, level).to_parameters(),
+    }
     known = {**parameters, **found}
     log_resistance = np.log10(resistance)
     knots = np.linspace(log_resistance.min(), log_resistance.max(), _BINS)
-    found[BOUND_PARAMETERS[0].name] = knots.tolist()
+    found[BOUND_KNOTS] = knots.tolist()
     for kind in KINDS:
         estimate, _ = self_sensing(kind, known).estimate(resistance)
         error = np.asarray(estimate.deflection) - deflection
-        found[f"model.self_sensing.bounds.{kind}"] = fit_bound(log_resistance, error, knots).tolist()
+        found[f"{SECTION}.bounds.{kind}"] = fit_bound(log_resistance, error, knots).tolist()
     return found

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.parameters import Value
 from vo2_models.self_sensing.bounds import bound_table, table_at
+from vo2_models.self_sensing.records import SECTION
 from vo2_models.self_sensing.scheme import SelfSensing
 from vo2_models.validation import finite_array, increasing
 
@@ -86,7 +87,7 @@ class PolynomialSelfSensing(SelfSensing):
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, Value]) -> PolynomialSelfSensing:
-        section = "model.self_sensing.polynomial"
+        section = f"{SECTION}.polynomial"
         domain, coefficients = parameters.get(f"{section}.domain"), parameters.get(f"{section}.coefficients")
         if not domain or not coefficients:
             raise ValueError(
@@ -99,7 +100,7 @@ class PolynomialSelfSensing(SelfSensing):
 
     def to_parameters(self) -> dict[str, Value]:
         """Return the flat `model.self_sensing.polynomial.*` parameters."""
-        section = "model.self_sensing.polynomial"
+        section = f"{SECTION}.polynomial"
         return {
             f"{section}.domain": self.domain.tolist(),
             f"{section}.coefficients": self.coefficients.tolist(),

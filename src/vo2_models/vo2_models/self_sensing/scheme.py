@@ -9,8 +9,8 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vo2_models.parameters import Parameter, Value
-from vo2_models.self_sensing.bounds import BOUND_PARAMETERS
+from vo2_models.parameters import Value
+from vo2_models.self_sensing.records import KINDS, PARAMETERS
 from vo2_models.validation import finite_array
 
 __all__ = ["KINDS", "PARAMETERS", "Estimate", "SelfSensing", "self_sensing"]
@@ -19,10 +19,10 @@ Floats = NDArray[np.float64]
 
 _CLASSES = {
     "composite": "composite.CompositeSelfSensing",
+    "egpi": "direct_egpi.DirectEGPISelfSensing",
+    "preisach": "direct_preisach.DirectPreisachSelfSensing",
     "polynomial": "polynomial.PolynomialSelfSensing",
 }
-KINDS = tuple(_CLASSES)
-"""Schemes by name, the recommended one first."""
 
 
 class Estimate(NamedTuple):
@@ -105,23 +105,3 @@ def self_sensing(kind: str, parameters: Mapping[str, Value]) -> SelfSensing:
     module, name = _CLASSES[kind].split(".")
     scheme: type[SelfSensing] = getattr(import_module(f"vo2_models.self_sensing.{module}"), name)
     return scheme.from_parameters(parameters)
-
-
-PARAMETERS: tuple[Parameter, ...] = (
-    *BOUND_PARAMETERS,
-    Parameter(
-        "model.self_sensing.polynomial.domain",
-        [],
-        "1",
-        "lowest and highest log10 of the resistance in ohm that the polynomial was fitted on; empty without model",
-        kind="float_array",
-    ),
-    Parameter(
-        "model.self_sensing.polynomial.coefficients",
-        [],
-        "m",
-        "Chebyshev coefficients of the deflection over that domain, lowest first; empty without model",
-        kind="float_array",
-    ),
-)
-"""Records of everything in a model file that belongs to self-sensing alone."""

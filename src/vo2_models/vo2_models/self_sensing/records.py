@@ -1,0 +1,43 @@
+"""Records of everything in a model file that belongs to self-sensing alone, and the names of the schemes."""
+
+from __future__ import annotations
+
+from vo2_models.device.bank import bank_parameters
+from vo2_models.parameters import Parameter
+
+__all__ = ["BOUND_KNOTS", "KINDS", "PARAMETERS", "SECTION"]
+
+KINDS = ("composite", "egpi", "preisach", "polynomial")
+"""Schemes by name, the recommended one first."""
+SECTION = "model.self_sensing"
+BOUND_KNOTS = f"{SECTION}.bounds.log10_resistance"
+
+
+def _array(name: str, unit: str, text: str) -> Parameter:
+    return Parameter(f"{SECTION}.{name}", [], unit, f"{text}; empty without model", kind="float_array")
+
+
+_DOMAIN = "lowest and highest log10 of the resistance in ohm that the"
+
+PARAMETERS: tuple[Parameter, ...] = (
+    _array("bounds.log10_resistance", "1", "log10 of the resistances in ohm at which error bounds stand"),
+    *(
+        _array(
+            f"bounds.{kind}",
+            "m",
+            f"error bound of the {kind} scheme: 95 % of the identification errors were smaller",
+        )
+        for kind in KINDS
+    ),
+    _array("polynomial.domain", "1", f"{_DOMAIN} polynomial was fitted on"),
+    _array(
+        "polynomial.coefficients",
+        "m",
+        "Chebyshev coefficients of the deflection over that domain, lowest first",
+    ),
+    _array("egpi.domain", "1", f"{_DOMAIN} direct EGPI model was fitted on"),
+    *bank_parameters(f"{SECTION}.egpi", "the deflection over the scaled -log10 of the resistance", "m"),
+    _array("preisach.domain", "1", f"{_DOMAIN} direct Preisach model was fitted on"),
+    _array("preisach.weights", "m", "weights of the cells of the direct Preisach model, row by row"),
+    _array("preisach.coefficients", "m", "Chebyshev coefficients of its memoryless part, lowest first"),
+)
