@@ -45,9 +45,9 @@ class PlayFit:
     ----------
     model : EGPI (its memoryless part is Zero for a GPI)
     initial : the saturation the record starts from
-    residual : (n,) y minus the model [output unit]
+    residual : (n,) y minus the model over the samples fitted [output unit]
     rms : root mean square of the residual [output unit]
-    nrmse : rms over the range of y
+    nrmse : rms over the range of y in the record
     names, values, std : fitted parameters in the model's own units, and their standard deviations; a weight that
         ends at zero has value and deviation 0 (it is on its bound)
     covariance : (P, P) of `values`
@@ -107,6 +107,7 @@ def fit_play_model(
     per_play: bool = False,
     free_radii: bool = False,
     initial: Literal["auto", "lower", "upper"] = "auto",
+    settling: int = 0,
     input_range: tuple[float, float] | None = None,
     shrinkage: float = SHRINKAGE,
     max_evaluations: int = 100,
@@ -125,6 +126,8 @@ def fit_play_model(
     per_play : then give each play its own envelopes (Table 7.2), starting from the shared ones
     free_radii : fit all radii but the smallest as well
     initial : saturation the record starts from; "auto" takes the one that fits better
+    settling : first samples that move the plays but are not fitted, where the memory at the start is unknown:
+        up to where the input has been through its range once
     input_range : inputs over which the order of the envelopes is kept; None takes those of the record
     shrinkage : see `SHRINKAGE`
     max_evaluations : of each least-squares run
@@ -160,6 +163,10 @@ def fit_play_model(
     parameters = Parametrisation(r, 1, False, basis)
     unknowns = (4 * r.size if per_play else parameters.size + free_radii * r.size) + r.size + 1
     inputs, outputs = _record(v, y, 2 * unknowns)
+    if int(settling) != settling or not 0 <= settling <= inputs.size - 2 * unknowns:
+        raise ValueError(
+            f"settling: found {settling}, need a whole number from 0 to {inputs.size - 2 * unknowns}"
+        )
     low, high = float(inputs.min()), float(inputs.max())
     if input_range is not None:
         given = finite_array(input_range, "input_range", size=2)
@@ -169,7 +176,7 @@ def fit_play_model(
     z, target = (inputs - centre) / half, (outputs - offset) / scale
 
     saturations = (True, False) if initial == "auto" else (initial == "lower",)
-    x, projection, evaluations = _shared(z, target, parameters, saturations, max_evaluations)
+    x, projection, evaluations = _shared(z, target, parameters, saturations, int(settling), max_evaluations)
     if per_play or free_radii:
         richer = replace(parameters, pairs=r.size if per_play else 1, free_radii=free_radii)
         x, projection, more = _richer(x, projection, richer, shrinkage, max_evaluations)
@@ -182,14 +189,15 @@ def _shared(
     y: FloatArray,
     parameters: Parametrisation,
     saturations: tuple[bool, ...],
+    settling: int,
     max_evaluations: int,
 ) -> tuple[FloatArray, Projection, int]:
     """First stage: one shared pair. Many starts are looked at, some are run a little, the best two to their end."""
     bounds = parameters.bounds()
     runs = []
-    for arguments, theta in product(starting_arguments(z, y), parameters.basis.starts):
+    for arguments, theta in product(starting_arguments(z[settling:], y[settling:]), parameters.basis.starts):
         start = np.clip(parameters.pack(arguments, np.array(theta)), *bounds)
-        trials = [Projection(z, y, from_below, parameters) for from_below in saturations]
+        trials = [Projection(z, y, from_below, parameters, settling) for from_below in saturations]
         costs = [float(np.sum(trial.residual(start) ** 2)) for trial in trials]
         runs.append((min(costs), start, trials[int(np.argmin(costs))]))
     evaluations = len(runs) * len(saturations)
@@ -216,7 +224,7 @@ def _richer(
     """Second stage: one envelope pair per play, or free radii, from the shared fit."""
     arguments, _, theta = shared.parameters.unpack(x)
     arguments = arguments[:, : parameters.pairs]
-    projection = Projection(shared.z, shared.y, shared.lower, parameters)
+    projection = Projection(shared.path, shared.record, shared.lower, parameters, shared.settling)
     lower, upper = parameters.bounds()
     start = np.clip(parameters.pack(arguments, theta), lower, upper)
     price = np.zeros(start.size)
@@ -271,7 +279,7 @@ def _result(
         rms / scale,
         names,
         values,
-        np.sqrt(np.diag(covariance)),
+        np.sqrt(np.maximum(np.diag(covariance), 0.0)),
         covariance,
         evaluations,
     )

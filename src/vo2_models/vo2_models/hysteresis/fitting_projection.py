@@ -32,6 +32,8 @@ SMOOTHING = 1e-3
 """eps: keeps the order constraint differentiable where the two slopes are equal; costs a gap of about 1e-3 in x."""
 LARGEST_RADIUS = 0.98
 """Radius beyond which the order constraint is kept as strict as here; artanh diverges at 1."""
+STILL = 1e-6
+"""Movement (rms, in units of the envelopes) below which a play counts as standing still."""
 SLOPES = (0.05, 200.0)
 """Envelope slopes allowed on z in [-1, 1]: from a twentieth of the range to nearly a relay."""
 
@@ -130,18 +132,25 @@ class Linear:
 
 
 class Projection:
-    """Residual and Jacobian as functions of the nonlinear vector alone, for one record (z, y) in normalised units."""
+    """Residual and Jacobian as functions of the nonlinear vector alone, for one record in normalised units.
 
-    def __init__(self, z: FloatArray, y: FloatArray, lower: bool, parameters: Parametrisation) -> None:
-        self.z, self.y, self.lower, self.parameters = z, y, lower, parameters
+    `path` (n + settling,) drives the plays; the fit is judged on its last n samples `z`, with outputs `y`.
+    """
+
+    def __init__(
+        self, path: FloatArray, y: FloatArray, lower: bool, parameters: Parametrisation, settling: int = 0
+    ) -> None:
+        self.path, self.record, self.settling = path, y, settling
+        self.lower, self.parameters = lower, parameters
+        self.z, self.y = path[settling:], y[settling:]
         self._last: tuple[bytes, Linear] | None = None
 
     def regressors(self, x: FloatArray) -> FloatArray:
         """Outputs of the plays (n, N)."""
         arguments, radii, _ = self.parameters.unpack(x)
-        outputs = np.empty((self.z.size, radii.size))
-        fitting_kernels.regressors(self.z, arguments, radii, self.lower, outputs)
-        return outputs
+        outputs = np.empty((self.path.size, radii.size))
+        fitting_kernels.regressors(self.path, arguments, radii, self.lower, outputs)
+        return outputs[self.settling :]
 
     def linear(self, x: FloatArray) -> Linear:
         """Best weights >= 0, bias and memoryless coefficients for x."""
@@ -158,6 +167,8 @@ class Projection:
             free, signed = np.concatenate([one, extra], axis=1), plays
         q_free, r_free = qr(free, mode="economic")
         inside = signed - q_free @ (q_free.T @ signed)
+        # a play that stands still in the record cannot be told from the bias: rounding must not give it a weight
+        inside[:, np.linalg.norm(inside, axis=0) < STILL * np.sqrt(self.z.size)] = 0.0
         rest = self.y - q_free @ (q_free.T @ self.y)
         q, r = qr(inside, mode="economic")
         amounts = nnls(r, q.T @ rest)[0]
@@ -180,10 +191,11 @@ class Projection:
         """d(model)/d(s_R, c_R, s_L, c_L of each pair, free radii, theta) at fixed linear coefficients."""
         found = self.linear(x)
         arguments, radii, theta = self.parameters.unpack(x)
-        out = np.zeros((self.z.size, self.parameters.size))
+        out = np.zeros((self.path.size, self.parameters.size))
         fitting_kernels.derivatives(
-            self.z, arguments, radii, self.lower, found.weights, self.parameters.columns(), out
+            self.path, arguments, radii, self.lower, found.weights, self.parameters.columns(), out
         )
+        out = out[self.settling :]
         if theta.size:
             out[:, -theta.size :] = self.parameters.basis.derivatives(self.z, theta, found.coefficients)
         return out

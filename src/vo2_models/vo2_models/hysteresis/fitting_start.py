@@ -47,11 +47,12 @@ def starting_arguments(z: FloatArray, y: FloatArray) -> list[FloatArray]:
     """Candidate envelope arguments (4, 1) = s_R, c_R, s_L, c_L on z in [-1, 1].
 
     A tanh whose slope has standard deviation d has s = pi / (2 sqrt 3 d). Plays of large radius widen the
-    branch beyond their envelopes and move their switching apart, so steeper envelopes, and closer ones, are tried too.
+    branch beyond their envelopes and move their switching apart, so steeper and closer envelopes are
+    tried too, and flat ones for a loop that does not saturate.
     """
     (rise, rise_width), (fall, fall_width) = branch_moments(z, y, True), branch_moments(z, y, False)
     candidates = []
-    for steeper, apart in product((0.7, 1.0, 1.6, 2.5), (1.0, 0.4)):
+    for steeper, apart in product((0.25, 0.7, 1.0, 1.6, 2.5), (1.0, 0.4)):
         middle, gap = (rise + fall) / 2, apart * (rise - fall) / 2
         s_r, s_l = steeper * TANH_SPREAD / rise_width, steeper * TANH_SPREAD / fall_width
         candidates.append(np.array([[s_r], [-s_r * (middle + gap)], [s_l], [-s_l * (middle - gap)]]))
