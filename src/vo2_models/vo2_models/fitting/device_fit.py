@@ -36,12 +36,16 @@ class FitResult:
     Attributes
     ----------
     model : the fitted simulation, with uncertainties and noise levels
-    residuals : channel -> (n,) measured minus model; resistance in log10 ohm with the sign of -log10 R
+    path : (n,) film temperature of the model [degC] along all recordings; each is preceded by one cold sample
+    ends : index behind the last sample of each recording
+    residuals : channel -> (n,) measured minus model along the path; resistance in log10 ohm with the sign of -log10 R
     settled : whether the recordings were taken to start settled at their first current instead of from a cold rest
     notes : what the recordings did not allow, one sentence each
     """
 
     model: DeviceModel
+    path: Floats = field(repr=False)
+    ends: tuple[int, ...]
     residuals: dict[str, Floats] = field(repr=False)
     settled: bool
     notes: tuple[str, ...]
@@ -404,6 +408,8 @@ def _assemble(
             sensors=sensors,
             uncertainty=uncertainty,
         ),
+        path=loops.path,
+        ends=tuple(int(n) for n in np.cumsum([grid.current.size + 1 for grid in grids])),
         residuals=residuals,
         settled=settled,
         notes=tuple(notes),

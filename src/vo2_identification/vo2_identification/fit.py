@@ -1,0 +1,166 @@
+"""`fit`: from calibration bags to the complete fitted simulation of a device, as a model file."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
+
+if TYPE_CHECKING:
+    from vo2_models.fitting.device_fit import FitResult
+    from vo2_models.parameters import Value
+
+__all__ = ["main", "model_of"]
+
+_DESCRIPTION = """
+Fit driver, thermal model, resistance, deflection and sensors of a device to one or more bags of a quasi-static recording
+(a damped oscillation), and write the model file that plant, estimator, controller and feedforward load. The uncertainty
+of each parameter and the residual of each channel stand in the file.
+"""
+_UNITS = {
+    RESISTANCE: ("log10 ohm", 1.0),
+    TIP_DEFLECTION: ("um", 1e6),
+    STAGE_TEMPERATURE: ("K", 1.0),
+}
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit status: 0, 2 on bad input."""
+    options = _parser().parse_args(args)
+    from vo2_models.device.presets import preset
+    from vo2_models.model_file import save_model_parameters
+
+    from vo2_identification.bags import read_recording
+
+    begun = time.monotonic()
+    try:
+        preset(options.device)
+        recordings = []
+        for bag in options.bag:
+            recording, problems = read_recording(bag)
+            for problem in problems:
+                print(f"fit: {bag}: {problem}", file=sys.stderr)
+            recordings.append(_of_device(recording, options.device, bag))
+        result, parameters = model_of(recordings, options.device, plays=options.plays, quiet=options.quiet)
+        names = ", ".join(str(bag) for bag in options.bag)
+        save_model_parameters(options.output, parameters, comment=f"fitted by `fit` to {names}")
+    except ValueError as error:
+        return _refuse(str(error))
+    except OSError as error:
+        return _refuse(f"{options.output}: cannot be written ({error.strerror or error})")
+    for line in _summary(result):
+        print(line)
+    print(f"wrote {options.output} in {time.monotonic() - begun:.1f} s")
+    return 0
+
+
+def model_of(
+    recordings: Sequence[Recording], device: str, *, plays: int, quiet: bool = True
+) -> tuple[FitResult, dict[str, Value]]:
+    """Fit a device and what builds on it; return the fit and all flat `model.*` parameters.
+
+    Parameters
+    ----------
+    recordings : calibration recordings of one device
+    device : preset id
+    plays : plays of each channel's loop
+    quiet : whether to leave out the progress on standard error
+
+    Raises
+    ------
+    ValueError : recordings that cannot be fitted; the message says why.
+    """
+    from vo2_models.fitting.device_fit import fit_device
+    from vo2_models.self_sensing.characterise import characterise
+
+    def progress(text: str, share: float) -> None:
+        if not quiet:
+            print(f"fit: {100 * share:3.0f} %  {text}", file=sys.stderr)
+
+    result = fit_device(recordings, device, plays=plays, progress=progress)
+    parameters = result.model.to_parameters()
+    both = [r for r in recordings if RESISTANCE in r and TIP_DEFLECTION in r]
+    if both:
+        progress("self-sensing", 0.95)
+        parameters |= characterise(max(both, key=len), parameters)
+        parameters |= _digest(result, both[0] is recordings[0])
+    return result, parameters
+
+
+def _digest(result: FitResult, first: bool) -> dict[str, Value]:
+    """What the loops left over along the first recording, for a later diagnosis; nothing where it has no cold start."""
+    from vo2_models.fitting.digest import digest_of
+    from vo2_models.fitting.enrichment import EnrichmentBasis
+
+    stop = result.ends[0]
+    path, gap, tip = (
+        values[1:stop]
+        for values in (result.path, result.residuals[RESISTANCE], result.residuals[TIP_DEFLECTION])
+    )
+    if not first or result.settled or path.size < 100:
+        return {}
+    basis = EnrichmentBasis()
+    reach = basis.half_width_k
+    inside = (basis.centre_degc[0] - reach, basis.centre_degc[1] + reach)
+    # the model's y is -log10 R
+    return digest_of(path, -gap, tip, inside_degc=inside).to_parameters()
+
+
+def _of_device(recording: Recording, device: str, bag: Path) -> Recording:
+    """Refuse a bag of another known device."""
+    from vo2_models.device.presets import PRESETS
+
+    if recording.device in PRESETS and recording.device != device:
+        raise ValueError(
+            f"{bag}: was recorded on device {recording.device}, need --device {recording.device}"
+        )
+    return recording
+
+
+def _summary(result: FitResult) -> list[str]:
+    lines = []
+    for channel, sensor in result.model.sensors.items():
+        unit, factor = _UNITS[channel]
+        noise = sensor.noise * (1.0 if channel == RESISTANCE else factor)
+        noise_unit = "of the value" if channel == RESISTANCE else unit
+        lines.append(
+            f"{channel}: residual {factor * sensor.residual:.3g} {unit} r.m.s., noise {noise:.3g} {noise_unit}"
+        )
+    for name in ("thermal.time_constant", "driver.dead_time", "thermal.ambient", "thermal.linear_gain"):
+        std = result.model.uncertainty.get(name)
+        if std:
+            lines.append(f"{name}: {result.model.scalars[name]:.5g} +- {std[0]:.2g}")
+    return lines + [f"note: {note}" for note in result.notes]
+
+
+def _refuse(message: str) -> int:
+    print(f"fit: {message}", file=sys.stderr)
+    return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="fit", description=_DESCRIPTION)
+    parser.add_argument(
+        "--bag", type=Path, action="append", required=True, help="bag to fit; may be repeated"
+    )
+    parser.add_argument("--device", required=True, help="device preset: integrated or peltier")
+    parser.add_argument("--output", type=Path, required=True, help="model file to write (YAML)")
+    parser.add_argument("--plays", type=_plays, default=12, help="plays of each channel's loop (default 12)")
+    parser.add_argument("--quiet", action="store_true", help="no progress on standard error")
+    return parser
+
+
+def _plays(text: str) -> int:
+    count = int(text)
+    if not 2 <= count <= 40:
+        raise argparse.ArgumentTypeError(f"found {count}, need 2 to 40")
+    return count
+
+
+if __name__ == "__main__":
+    sys.exit(main())
