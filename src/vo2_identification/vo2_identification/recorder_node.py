@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import time
 from collections.abc import Mapping
+from functools import lru_cache
 from importlib import import_module
 from typing import Any
 
@@ -15,7 +16,7 @@ from vo2_plant_sim.interface.topics import LATCHED_QOS, SAMPLE_QOS
 
 from vo2_identification.bags.channels import JOINT_STATE
 from vo2_identification.bags.qos import contract_qos
-from vo2_identification.bags.writing import BagWriter
+from vo2_identification.bags.writing import BagWriter, message_definition
 
 __all__ = ["Recorder", "contract_topics"]
 
@@ -120,6 +121,7 @@ class Recorder(Node):
             ):
                 return
             self.destroy_subscription(before)
+        message_definition(self._types[topic])  # refused now, not at the first message
         package, _, name = self._types[topic].partition("/msg/")
         try:
             kind = getattr(import_module(f"{package}.msg"), name)
@@ -195,6 +197,7 @@ def _stamp_ns(data: bytes) -> int:
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
+@lru_cache(maxsize=64)
 def _begins_with_stamp(msgtype: str) -> bool:
     package, _, name = msgtype.partition("/msg/")
     fields = getattr(import_module(f"{package}.msg"), name).get_fields_and_field_types()

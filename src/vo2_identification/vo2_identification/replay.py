@@ -25,7 +25,7 @@ of the bag, so that they go on increasing.
 """
 _SLICE_S = 0.05
 _SETTLE_S = 0.3
-_ACKNOWLEDGE_S = 3.0
+_ACKNOWLEDGE_S = 4.0  # Fast DDS asks for acknowledgement every 3 s
 _SLIP_S = 0.02
 _QUEUE = 5000
 _NS = 1_000_000_000
@@ -137,7 +137,8 @@ def _publish_all(node: Node, bag: Outline, options: argparse.Namespace, stopped:
             _show_progress(f"{count} messages, {(last - bag.first_ns) / _NS:.1f} s into the bag")
             shown = now
     took = time.monotonic() - began
-    _wait_for_readers(publishers)  # the last messages are still on their way
+    if not stopped():
+        _wait_for_readers(publishers)  # the last messages are still on their way
     _show_progress("")
     slow = (
         f" ({slipped:.2f} s longer than planned: this machine could not keep up)" if slipped > _SLIP_S else ""

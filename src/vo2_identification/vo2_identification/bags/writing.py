@@ -23,7 +23,7 @@ from vo2_identification.bags.problems import BagError
 from vo2_identification.bags.qos import contract_qos, profiles, profiles_text
 from vo2_identification.bags.sqlite_file import SqliteFile
 
-__all__ = ["STORAGES", "BagWriter", "write_bag"]
+__all__ = ["STORAGES", "BagWriter", "message_definition", "write_bag"]
 
 STORAGES = {"mcap": (McapFile, ".mcap"), "sqlite3": (SqliteFile, ".db3")}
 """Storage identifier of rosbag2 -> class that writes it, file ending."""
@@ -93,7 +93,7 @@ class BagWriter:
         ------
         ValueError : a message type that the ROS 2 Jazzy interfaces do not have.
         """
-        definition, digest = _definition(msgtype)
+        definition, digest = message_definition(msgtype)
         qos = qos or contract_qos(topic)
         channel = Channel(topic, msgtype, profiles_text(qos), digest)
         self._topics.append((channel, qos))
@@ -200,13 +200,19 @@ class BagWriter:
 
     def _write_metadata(self, document: dict[str, Any]) -> None:
         # under another name first: there is a whole metadata.yaml at any time
-        partial = self.path / "metadata.yaml.partial"
+        text = yaml.safe_dump(document, sort_keys=False).encode()
+        final, partial = self.path / "metadata.yaml", self.path / "metadata.yaml.partial"
         try:
-            partial.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+            partial.write_bytes(text)
+            os.replace(partial, final)
         except OSError:
             partial.unlink(missing_ok=True)
-            raise
-        os.replace(partial, self.path / "metadata.yaml")
+            if not final.exists():
+                raise
+            # a full disk has no room for a second file, but for new numbers in the old one
+            with final.open("r+b") as file:
+                file.write(text)
+                file.truncate()
 
 
 _INFORMATION = "rosbag2_bagfile_information"
@@ -272,10 +278,17 @@ def _commands(measurement: Recording) -> Recording:
 
 
 @lru_cache(maxsize=64)
-def _definition(msgtype: str) -> tuple[str, str]:
-    """Return the text of the message definition and its RIHS01 hash."""
+def message_definition(msgtype: str) -> tuple[str, str]:
+    """Return the text of the message definition and its RIHS01 hash.
+
+    Raises
+    ------
+    BagError : a type that the common interfaces of ROS 2 Jazzy do not have.
+    """
     store = typestore()
     if msgtype not in store.fielddefs:
-        raise BagError(f"message type {msgtype}: not among the common interfaces of ROS 2 Jazzy")
+        raise BagError(
+            f"message type {msgtype}: not among the common interfaces of ROS 2 Jazzy, it cannot be recorded"
+        )
     text, _ = store.generate_msgdef(msgtype, ros_version=2)
     return text, store.hash_rihs01(msgtype)
