@@ -217,3 +217,17 @@ def test_outputs_above_the_hot_saturation_take_two_temperatures():
     two = inverse.update(0.5 * (hot + inverse.maximum[1]), state)
     assert len(one.temperatures) == 1 and len(two.temperatures) == 2
     assert one.reached and two.reached and two.temperatures[0] == 70.0 and two.iterations <= 20
+
+
+def test_where_the_output_is_flat_the_nearest_input_is_given():
+    # only the first and the last cell carry hysterons: between 1 and 2 nothing happens
+    operator = PreisachOperator([0.0, 1.0, 2.0, 3.0], np.diag([2.0, 0.0, 2.0]))
+    inverse = PreisachInverse(operator)
+    assert inverse.update(0.0, operator.saturated(-1)) == (1.0, True)
+    assert inverse.update(0.0, operator.saturated(+1)) == (2.0, True)
+    low = operator.output_range[0]
+    assert inverse.update(low, operator.memory([1.5]))[0] == 0.0
+    empty_ends = PreisachOperator([0.0, 1.0, 2.0, 3.0], np.diag([0.0, 2.0, 0.0]))
+    state = empty_ends.memory([3.0, 0.5, 1.7])
+    assert PreisachInverse(empty_ends).update(empty_ends.output_range[1], state) == (2.0, True)
+    assert PreisachInverse(empty_ends).update(empty_ends.output_range[0], state) == (1.0, True)

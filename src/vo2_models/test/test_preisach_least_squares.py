@@ -41,6 +41,18 @@ def test_damped_oscillation_has_full_rank_for_every_level_to_60():
         assert np.array_equal(product, np.eye(matrix.shape[0])), level
 
 
+def test_linear_term_keeps_full_rank_to_level_60_with_one_sample_outside():
+    for level in range(1, 61):
+        walls = np.arange(level + 1.0)
+        inputs = np.append(damped_oscillation(walls), level + 4.0)
+        matrix = signed_area_matrix(inputs, walls, diagonal="square", linear=True)
+        # regular if and only if the Schur complement of the regular block is not zero; all in small integers
+        known = inverse_map(level) @ matrix[:-1, -1]
+        assert matrix[-1, -1] - matrix[-1, :-1] @ known == 4.0
+        last_wall = signed_area_matrix(inputs[:-1], walls, diagonal="square", linear=True)[-1]
+        assert last_wall[-1] - last_wall[:-1] @ known == 0.0
+
+
 @pytest.mark.parametrize(("extra", "regular"), [(3.0, False), (9.5, True), (-1.0, True), (2.4, True)])
 def test_linear_term_needs_one_sample_off_the_walls(extra, regular):
     walls = np.arange(8.0)

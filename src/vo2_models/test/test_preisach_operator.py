@@ -204,3 +204,16 @@ def test_packing_and_the_saturation_values():
 def test_bad_input_is_named(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_streaming_many_devices():
+    operator = random_operator(np.random.default_rng(4), 6)
+    inputs = np.random.default_rng(5).uniform(-1, 2, (3, 40))
+    state = operator.saturated(devices=3)
+    streamed = np.stack([operator.update_devices(column, state) for column in inputs.T], axis=1)
+    assert np.array_equal(streamed, operator(inputs))
+    assert operator.memory(state.history(1)) == operator.memory(inputs[1])
+    with pytest.raises(ValueError, match=r"state: found 3 devices, need one; see update_devices"):
+        operator.update(0.0, state)
+    with pytest.raises(ValueError, match=r"device: found None"):
+        state.history()

@@ -45,7 +45,8 @@ def damped_oscillation(walls: ArrayLike, *, reversals_only: bool = False) -> Flo
 
     The input starts at the lowest wall (negative saturation), rises wall by wall to the highest, falls to
     the second lowest, and so on: 1 + L + (L - 1) + ... + 1 = L (L + 1) / 2 + 1 levels, as many as a Preisach
-    operator of level L has densities and bias, and the matrix of signed areas is square and regular.
+    operator of level L has densities and bias, and the matrix of signed areas is square and regular. With a linear
+    term, (4.19), append one level outside the walls: on the walls it cannot be told from the diagonal cells.
 
     Parameters
     ----------

@@ -44,9 +44,9 @@ def invert(target, state, table, walls, half, buckets, scale):
         corner = n - 2
     while corner >= 0:
         passed = state[HEADER + 2 * corner + 1]
-        if (target < passed) if rises else (target > passed):
+        if (target <= passed) if rises else (target >= passed):
             break
-        if corner == 0:  # negative saturation or beyond
+        if corner == 0:  # beyond negative saturation
             step(walls[0], state, table, walls, half, buckets, scale)
             return walls[0]
         base_v = state[HEADER + 2 * (corner - 1)]
@@ -54,13 +54,14 @@ def invert(target, state, table, walls, half, buckets, scale):
         corner -= 2
     sign = 1.0 if rises else -1.0
     q, share, parabola = leg_start(base_v, walls, half, buckets, scale)
-    # the output grows with the input on either kind of leg: the last wall that is not above the target
+    # the output grows with the input on either kind of leg; where it is flat, the end nearer to the start counts
     low = locate(base_v, walls, buckets, scale) if rises else 0
     high = walls.size - 2 if rises else q
     while low < high:
         middle = (low + high + 1) // 2
         node = (1.0 - share) * table[q, middle] + share * table[q + 1, middle]
-        if base_u + 2.0 * sign * (node + parabola) <= target:
+        output = base_u + 2.0 * sign * (node + parabola)
+        if (output < target) if rises else (output <= target):
             low = middle
         else:
             high = middle - 1

@@ -146,15 +146,27 @@ class PreisachOperator:
 
         Raises
         ------
-        ValueError : `v` is NaN.
+        ValueError : `v` is NaN, or the state holds several devices.
         """
-        u = kernels.step(float(v), state.array, *self.compiled)
+        array = state.array
+        if array.ndim != 1:
+            raise ValueError(f"state: found {len(array)} devices, need one; see update_devices")
+        u = kernels.step(float(v), array, *self.compiled)
         if u != u:
             if v != v:
                 raise ValueError("v: found nan, need a number; hold the last input or skip the sample")
             state.enlarge()
             return self.update(v, state)
         return u
+
+    def update_devices(self, v: ArrayLike, state: PreisachState) -> Floats:
+        """Apply one input to each device and return the outputs (devices,); `state` changes in place.
+
+        Raises
+        ------
+        ValueError : `v` not finite, or not as many as the state has devices.
+        """
+        return self.run(finite_array(v, "v")[:, None], state)[0][:, 0]
 
     def run(self, v: ArrayLike, state: PreisachState) -> tuple[Floats, PreisachState]:
         """Apply an input sequence and return the outputs and the state, which changes in place.
