@@ -1,0 +1,136 @@
+"""What the base may absorb: the loop shape as far as the calibration left it open, and the heat's parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
+from vo2_models.device import DeviceModel
+from vo2_models.fitting.enrichment import Correction, EnrichmentBasis
+from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
+
+from vo2_identification.diagnose.nominal import Nominal
+
+__all__ = ["LoopShape", "loop_shapes", "thermal_spread"]
+
+Floats = NDArray[np.float64]
+DOMAINS = (1e3, 4e3, 1.6e4, 1e6)
+"""Numbers of domains whose scatter is tried; the calibration chooses."""
+ROUGHNESS = (0.0, 1.0, 3.0)
+"""Misfit of a block beyond what the basis resolves, in units of the noise; the calibration chooses."""
+
+
+@dataclass(frozen=True)
+class LoopShape:
+    """Posterior of the loop-shape correction of one channel: mean + L^-T z, z unit normal.
+
+    Attributes
+    ----------
+    basis : with the number of domains that the calibration chose
+    span : range of the channel
+    mean : (m,) weights
+    factor : (m, m) lower Cholesky factor of the posterior precision
+    rough : misfit that remains at single temperatures, in the channel's unit
+    """
+
+    basis: EnrichmentBasis
+    span: float
+    mean: Floats
+    factor: Floats
+    rough: float
+
+    def fold(self) -> Correction:
+        """The mean correction, as a function of the temperature."""
+        return self.basis.fold(self.mean, span=self.span)
+
+    def spread_columns(self, temperature: Floats) -> Floats:
+        """Columns (n, m) whose unit-normal combinations are what the calibration leaves open."""
+        features = self.basis.features(temperature, span=self.span)
+        return np.asarray(solve_triangular(self.factor, features.T, lower=True, check_finite=False).T)
+
+    def rough_at(self, temperature: Floats) -> Floats:
+        """Misfit level (n,) at a temperature: `rough` inside the transition, none outside."""
+        low, high = self.basis.centre_degc
+        return np.where((temperature > low) & (temperature < high), self.rough, 0.0)
+
+
+def loop_shapes(nominal: Nominal) -> dict[str, LoopShape]:
+    """Posterior of the loop shape of resistance and deflection, from the digest of the calibration.
+
+    The number of domains and the roughness are those of highest marginal likelihood. Without a digest the
+    prior alone stands, which forgives ten per cent of the loop's shape.
+    """
+    found = {}
+    for channel, present in (
+        (RESISTANCE, nominal.model.resistance.present),
+        (TIP_DEFLECTION, nominal.model.deflection.present),
+    ):
+        if not present:
+            continue
+        basis, span = nominal.basis, nominal.span[channel]
+        digest = nominal.digest
+        if digest is None:
+            found[channel] = LoopShape(basis, span, np.zeros(basis.columns), np.eye(basis.columns), 0.0)
+            continue
+        noise = nominal.noise[channel]
+        target = digest.log_resistance if channel == RESISTANCE else digest.deflection
+        counts = digest.count > 0
+        features = digest.features(basis, span=span)[counts]
+        variance = noise.level**2 * noise.thinning / digest.count[counts]
+        middle = 0.5 * (digest.temperature[1:] + digest.temperature[:-1])[counts]
+        inside = (middle > basis.centre_degc[0]) & (middle < basis.centre_degc[1])
+        best: tuple[float, LoopShape] | None = None
+        for roughness in ROUGHNESS:
+            spread = variance + np.where(inside, (roughness * noise.level) ** 2, 0.0)
+            weighted = features / np.sqrt(spread)[:, None]
+            gram, right = weighted.T @ weighted, weighted.T @ (target[counts] / np.sqrt(spread))
+            energy = float(np.sum(target[counts] ** 2 / spread) + np.sum(np.log(spread)))
+            for domains in DOMAINS:
+                scale = np.ones(basis.columns)
+                scale[basis.groups["scatter"]] = np.sqrt(basis.domains / domains)
+                precision = gram * np.outer(scale, scale)
+                precision[np.diag_indices_from(precision)] += 1.0
+                factor = cholesky(precision, lower=True, check_finite=False)
+                half = solve_triangular(factor, scale * right, lower=True, check_finite=False)
+                score = -0.5 * (energy - half @ half) - float(np.sum(np.log(np.diag(factor))))
+                if best is None or score > best[0]:
+                    mean = solve_triangular(factor, half, lower=True, trans="T", check_finite=False)
+                    shape = LoopShape(
+                        replace(basis, domains=domains), span, mean, factor, roughness * noise.level
+                    )
+                    best = (score, shape)
+        assert best is not None
+        found[channel] = best[1]
+    return found
+
+
+def thermal_spread(
+    model: DeviceModel, thermal: Mapping[str, float]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Values and standard deviations of the thermal parameters that a refit may move.
+
+    The deviation is the fit's own where the model file has it, with a floor for what differs between two
+    recordings of an unchanged device, and a default where it has none.
+    """
+    floors = {
+        "thermal.time_constant": (0.003, 0.10),
+        "driver.dead_time": (0.003, 0.10),
+        "thermal.linear_gain": (2e-4, 1e-3),
+        "thermal.square_gain": (2e-4, 1e-3),
+    }
+    values, spreads = {}, {}
+    for name, (floor, default) in floors.items():
+        value = thermal.get(name, model.scalars[name])
+        if value == 0.0:
+            continue
+        known = model.uncertainty.get(name)
+        relative = abs(known[0] / model.scalars[name]) if known else default
+        values[name], spreads[name] = value, abs(value) * max(relative, floor)
+    name = "thermal.ambient"
+    known = model.uncertainty.get(name)
+    values[name] = thermal.get(name, model.scalars[name])
+    spreads[name] = max(known[0] if known else 0.05, 0.02)
+    return values, spreads

@@ -1,0 +1,158 @@
+"""From fits to an answer: agrees, one or more named effects, rivals that cannot be told apart, or unknown.
+
+Thresholds are set on simulated devices of other seeds and another generator than those the reported rates
+come from; they are in `Thresholds`, each with what it guards against.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_identification.diagnose.evidence import Evidence
+from vo2_identification.diagnose.explain import Explanation, fit_jointly
+
+__all__ = ["HeldOut", "Thresholds", "block_folds", "held_out", "probabilities"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """When an answer is given.
+
+    Attributes
+    ----------
+    excess : a recording differs if the residual's power, base refitted, exceeds the noise by this share...
+    channel_excess : ... or a single channel's does by this one
+    gain : least drop of q of a named effect; the largest false one on recordings without effect is below
+    share : least share of the excess that a name explains on held-out blocks
+    complete : share of the excess that names must explain together; else "unknown" is among the answers
+    small : excess below which nothing more is looked for, in noise powers
+    rival : rivals within this difference of q (5 sigma) are not told apart
+    temper : how many times more the likelihood ratio must be than white noise would need
+    """
+
+    excess: float = 0.25
+    channel_excess: float = 0.4
+    gain: float = 60.0
+    share: float = 0.25
+    complete: float = 0.85
+    small: float = 0.35
+    rival: float = 25.0
+    temper: float = 8.0
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """How an explanation does on blocks it was not fitted on.
+
+    Attributes
+    ----------
+    share : of the excess residual energy explained
+    before, after, floor : channel -> root mean square in judged units: nominal simulation, explained, noise
+    spread : largest relative spread of a parameter over the folds, in standard deviations of the fit
+    stable : whether every fold agrees in sign and within a factor of two on every magnitude
+    """
+
+    share: float
+    before: dict[str, float]
+    after: dict[str, float]
+    floor: dict[str, float]
+    stable: bool
+
+
+def block_folds(evidence: Evidence, *, blocks: int = 10) -> list[NDArray[np.bool_]]:
+    """Two folds of alternating long blocks, each (N,) True where a sample is held out."""
+    odd = np.zeros(evidence.weight.size, dtype=bool)
+    for row, part, _ in evidence.iterate():
+        place = np.arange(part.size) * blocks // part.size
+        odd[row.where] = place % 2 == 1
+    return [odd, ~odd]
+
+
+def held_out(
+    evidence: Evidence,
+    explanation: Explanation | None,
+    *,
+    folds: Sequence[NDArray[np.bool_]] | None = None,
+    tick: Callable[[], None] = lambda: None,
+) -> HeldOut:
+    """Fit on one half of the blocks, judge on the other, both ways."""
+    before_energy = after_energy = 0.0
+    count = 0
+    squares: dict[str, dict[str, float]] = {"before": {}, "after": {}}
+    numbers: dict[str, int] = {}
+    estimates = []
+    for held in folds or block_folds(evidence):
+        training = evidence.restricted(~held)
+        if explanation is not None:
+            fitted = fit_jointly(
+                training, explanation.hypotheses, explanation.values, iterations=3, tick=tick
+            )
+            estimates.append(fitted.values)
+            change = evidence.deviation(fitted.effects, fitted.shift if np.any(fitted.shift) else None)
+            weights = training.absorb(training.residual - np.where(held, 0.0, change))
+        else:
+            change = np.zeros(evidence.weight.size)
+            weights = training.absorb(training.residual)
+        without = evidence.residual - evidence.base @ training.absorb(training.residual)
+        with_it = evidence.residual - change - evidence.base @ weights
+        use = held & (evidence.weight > 0)
+        before_energy += float(np.sum(without[use] ** 2))
+        after_energy += float(np.sum(with_it[use] ** 2))
+        count += int(np.count_nonzero(use))
+        for row in evidence.rows:
+            some = use[row.where]
+            noise = evidence.nominal.noise[row.channel]
+            weight = np.where(evidence.weight[row.where] > 0, evidence.weight[row.where], 1.0)
+            for name, vector in (("before", evidence.residual), ("after", with_it)):
+                plain = noise.color(vector[row.where] / weight)
+                squares[name][row.channel] = squares[name].get(row.channel, 0.0) + float(
+                    np.sum(plain[some] ** 2)
+                )
+            numbers[row.channel] = numbers.get(row.channel, 0) + int(np.count_nonzero(some))
+    excess = before_energy - count
+    share = (before_energy - after_energy) / excess if excess > 0 else 0.0
+    root = {
+        name: {c: float(np.sqrt(v / max(numbers[c], 1))) for c, v in by.items()}
+        for name, by in squares.items()
+    }
+    floor = {c: evidence.nominal.noise[c].level for c in numbers}
+    return HeldOut(share, root["before"], root["after"], floor, _stable(explanation, estimates))
+
+
+def _stable(explanation: Explanation | None, estimates: Sequence[Sequence[dict[str, float]]]) -> bool:
+    """Whether both folds find the same sign and, within a factor of two, the same size of the magnitudes."""
+    if explanation is None or len(estimates) < 2:
+        return True
+    for index, hypothesis in enumerate(explanation.hypotheses):
+        magnitudes = [n for n in explanation.values[index] if not hypothesis.logarithmic(n)]
+        if not magnitudes:
+            continue
+        name = max(magnitudes, key=lambda n: abs(explanation.values[index][n]) / hypothesis.scales[n])
+        first, second = (fold[index][name] for fold in estimates)
+        if first * second <= 0 or not 0.4 < first / second < 2.5:
+            return False
+    return True
+
+
+def probabilities(
+    chi_squares: Sequence[float], parameters: Sequence[int], *, count: int, temper: float
+) -> Floats:
+    """Posterior probabilities of rivals from q and the number of parameters, tempered for what q does not know.
+
+    Parameters
+    ----------
+    chi_squares : q of each
+    parameters : number of fitted parameters of each; each costs log(count)
+    count : number of samples
+    temper : divides the log likelihood ratios
+    """
+    score = np.array([-0.5 * (q + p * np.log(count)) for q, p in zip(chi_squares, parameters, strict=True)])
+    score = (score - np.max(score)) / temper
+    weight = np.exp(score)
+    return np.asarray(weight / np.sum(weight))

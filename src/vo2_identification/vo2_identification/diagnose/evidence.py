@@ -1,0 +1,270 @@
+"""One whitened problem out of several recordings, and what the base of loop shape and heat can absorb of it.
+
+With r the whitened residual of the nominal simulation, B the whitened tangent of the base (loop-shape
+corrections as uncertain as the calibration left them, thermal parameters as uncertain as the fit says),
+every column scaled to a unit normal weight, the base absorbs
+
+    b = (B'B + I)^-1 B'r ,   and what is left weighs   q(r) = r'r - r'B (B'B + I)^-1 B'r .
+
+q is the chi-square of the residual under noise and base together, so an effect is judged by how much it
+lowers q: the refit of the base is in it, without being made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from vo2_identification.diagnose.base import LoopShape, loop_shapes, thermal_spread
+from vo2_identification.diagnose.nominal import Nominal, Response
+from vo2_identification.diagnose.part import Part
+
+__all__ = ["Evidence", "Row", "gather"]
+
+Floats = NDArray[np.float64]
+Effects = Mapping[str, Mapping[str, float | str]]
+
+
+@dataclass(frozen=True)
+class Row:
+    """Where one channel of one recording stands in the stacked vectors."""
+
+    part: int
+    channel: str
+    where: slice
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The stacked, whitened problem.
+
+    Attributes
+    ----------
+    nominal : with loop-shape corrections
+    thermal : values of thermal parameters that replace those of the model
+    parts : recordings
+    rows : layout of the stacked vectors
+    weight : (N,) 0 where a sample is missing, else what divides the innovation (1 without rough misfit)
+    nominal_responses : one per part
+    residual : (N,) whitened residual of the nominal simulation
+    base : (N, k) whitened tangent of the base
+    names : of the thermal columns, which are the last
+    spreads : a unit of each thermal column, in the parameter's unit
+    included : effects that the nominal responses already have
+    """
+
+    nominal: Nominal
+    thermal: Mapping[str, float]
+    parts: tuple[Part, ...]
+    rows: tuple[Row, ...]
+    weight: Floats
+    nominal_responses: tuple[Response, ...]
+    residual: Floats
+    base: Floats
+    names: tuple[str, ...]
+    spreads: tuple[float, ...]
+    included: Effects = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        gram = self.base.T @ self.base
+        gram[np.diag_indices_from(gram)] += 1.0
+        object.__setattr__(self, "_factor", cho_factor(gram, lower=True))
+
+    @property
+    def count(self) -> int:
+        """Number of samples that count."""
+        return int(np.count_nonzero(self.weight))
+
+    def responses(self, effects: Effects, shift: Floats | None = None) -> list[Response]:
+        """Simulate every part with effects beside the included ones, thermal parameters moved by `shift` columns."""
+        thermal = self.thermal if shift is None else self.moved(shift)
+        return [
+            self.nominal.respond(
+                part.current,
+                part.dt,
+                effects={**self.included, **effects},
+                thermal=thermal,
+                settled=part.settled,
+            )
+            for part in self.parts
+        ]
+
+    def moved(self, shift: Floats) -> dict[str, float]:
+        """Thermal parameters moved by `shift` (in units of their columns)."""
+        values, _ = thermal_spread(self.nominal.model, self.thermal)
+        return {
+            **self.thermal,
+            **{n: values[n] + s * z for n, s, z in zip(self.names, self.spreads, shift, strict=True)},
+        }
+
+    def stack(self, responses: Sequence[Response], reference: Sequence[Response] | None = None) -> Floats:
+        """Whitened (N,) difference of responses from a reference (by default the nominal ones)."""
+        base = self.nominal_responses if reference is None else reference
+        out = np.empty(self.weight.size)
+        for row in self.rows:
+            new = responses[row.part].channels[row.channel]
+            old = base[row.part].channels[row.channel]
+            out[row.where] = self.nominal.noise[row.channel].whiten(new - old)
+        return out * self.weight
+
+    def deviation(self, effects: Effects, shift: Floats | None = None) -> Floats:
+        """Whitened (N,) change of the simulation that effects make.
+
+        With `shift`, thermal parameters are moved that far and what the linear base says of that move is taken
+        off again: the base still pays for the move, but its curvature is in the deviation.
+        """
+        change = self.stack(self.responses(effects, shift))
+        if shift is not None and shift.size:
+            change = change - self.base[:, -shift.size :] @ shift
+        return change
+
+    def absorb(self, vector: Floats) -> Floats:
+        """Weights (k,) with which the base absorbs a whitened vector."""
+        return cho_solve(self._factor, self.base.T @ vector)  # type: ignore[attr-defined]
+
+    def left(self, vector: Floats) -> Floats:
+        """What the base leaves of a whitened vector (or columns): C^-1 v, C the covariance of noise and base."""
+        return vector - self.base @ cho_solve(self._factor, self.base.T @ vector)  # type: ignore[attr-defined]
+
+    def chi_square(self, vector: Floats) -> float:
+        """q of a whitened vector."""
+        inner = self.base.T @ vector
+        return float(vector @ vector - inner @ cho_solve(self._factor, inner))  # type: ignore[attr-defined]
+
+    def chi_squares(self, columns: Floats) -> Floats:
+        """q of each of the whitened columns (N, m)."""
+        inner = self.base.T @ columns
+        return np.asarray(
+            np.sum(columns**2, axis=0) - np.sum(inner * cho_solve(self._factor, inner), axis=0)  # type: ignore[attr-defined]
+        )
+
+    def restricted(self, keep: NDArray[np.bool_]) -> Evidence:
+        """The same problem with only some samples counting: for a fit that leaves blocks out."""
+        weight = np.where(keep, self.weight, 0.0)
+        return replace(
+            self,
+            weight=weight,
+            residual=np.where(keep, self.residual, 0.0),
+            base=self.base * keep[:, None],
+        )
+
+    def iterate(self) -> Iterator[tuple[Row, Part, Response]]:
+        """Rows with their recording and nominal response."""
+        for row in self.rows:
+            yield row, self.parts[row.part], self.nominal_responses[row.part]
+
+
+def gather(
+    nominal: Nominal,
+    parts: Sequence[Part],
+    *,
+    thermal: Mapping[str, float] | None = None,
+    effects: Effects | None = None,
+    say: Callable[[str], None] = lambda text: None,
+) -> Evidence:
+    """Build the problem: loop shape from the calibration, simulation of every part, whitened base.
+
+    Parameters
+    ----------
+    nominal : without corrections
+    parts : recordings, as `part.prepare` made them
+    thermal : thermal parameters to linearise about, None for the model's
+    effects : effects to linearise about
+    say : called with what is being done
+    """
+    shapes = loop_shapes(nominal)
+    corrected = replace(nominal, corrections={c: s.fold() for c, s in shapes.items()})
+    thermal = dict(thermal or {})
+    say("simulating the recordings")
+    responses = [corrected.respond(p.current, p.dt, thermal=thermal, settled=p.settled) for p in parts]
+    rows, end = [], 0
+    for index, part in enumerate(parts):
+        for channel in part.channels:
+            rows.append(Row(index, channel, slice(end, end + part.size)))
+            end += part.size
+    weight = np.empty(end)
+    residual = np.empty(end)
+    for row in rows:
+        part, response = parts[row.part], responses[row.part]
+        noise = corrected.noise[row.channel]
+        measured, counts = part.observed[row.channel], part.valid[row.channel]
+        predicted = response.channels[row.channel]
+        rough = shapes[row.channel].rough_at(response.temperature) if row.channel in shapes else 0.0
+        weight[row.where] = _reach(counts, len(noise.ar)) / np.sqrt(
+            1.0 + (rough**2 + part.comb_level(row.channel) ** 2) / noise.level**2
+        )
+        residual[row.where] = noise.whiten(np.where(counts, measured - predicted, 0.0))
+    residual *= weight
+    blocks = _loop_columns(shapes, rows, responses, corrected, weight)
+    values, spreads = thermal_spread(corrected.model, thermal)
+    columns = []
+    partial = Evidence(
+        corrected, thermal, tuple(parts), tuple(rows), weight, tuple(responses), residual,
+        np.zeros((end, 0)), (), (), dict(effects or {}),
+    )  # fmt: skip
+    for name, spread in spreads.items():
+        step = 0.2 * spread
+        moved = [
+            corrected.respond(
+                p.current,
+                p.dt,
+                effects=effects,
+                thermal={**thermal, name: values[name] + step},
+                settled=p.settled,
+            )
+            for p in parts
+        ]
+        columns.append(partial.stack(moved) * (spread / step))
+    base = np.column_stack([blocks, *columns]) if columns else blocks
+    return replace(partial, base=base, names=tuple(spreads), spreads=tuple(spreads.values()))
+
+
+def _reach(counts: NDArray[np.bool_], order: int) -> Floats:
+    """1 where a sample and those its whitening needs are there, else 0."""
+    good = counts.copy()
+    for k in range(1, order + 1):
+        good[k:] &= counts[:-k]
+    return good.astype(np.float64)
+
+
+def _loop_columns(
+    shapes: Mapping[str, LoopShape],
+    rows: Sequence[Row],
+    responses: Sequence[Response],
+    nominal: Nominal,
+    weight: Floats,
+) -> Floats:
+    """Whitened columns of the loop shapes: few directions, each a unit normal beforehand."""
+    parts = []
+    for channel, shape in shapes.items():
+        own = [row for row in rows if row.channel == channel]
+        if not own:
+            continue
+        raw = [shape.spread_columns(responses[row.part].temperature) for row in own]
+        noise = nominal.noise[channel]
+        whitened = [
+            noise.whiten(columns) * weight[row.where, None] for columns, row in zip(raw, own, strict=True)
+        ]
+        directions = _main_directions(whitened)
+        block = np.zeros((weight.size, directions.shape[1]))
+        for columns, row in zip(whitened, own, strict=True):
+            block[row.where] = columns @ directions
+        parts.append(block)
+    return np.column_stack(parts) if parts else np.zeros((weight.size, 0))
+
+
+def _main_directions(
+    blocks: Sequence[Floats], *, negligible: float = 0.5, most: int = 260, sample: int = 6000
+) -> Floats:
+    """Directions (m, k) of unit-normal weights that the data can tell from zero at all."""
+    total = sum(block.shape[0] for block in blocks)
+    stride = max(1, total // sample)
+    gram = sum(block[::stride].T @ block[::stride] for block in blocks) * float(stride)
+    value, vector = np.linalg.eigh(gram)
+    keep = value > negligible
+    vector = vector[:, keep]
+    return np.asarray(vector[:, -most:])

@@ -1,0 +1,317 @@
+"""Fit hypotheses: scores for all, bounded Gauss-Newton with the base refitted for those that promise most."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_identification.diagnose.evidence import Evidence
+from vo2_identification.diagnose.hypotheses import Hypothesis
+
+__all__ = ["Explanation", "Score", "fit_jointly", "score"]
+
+Floats = NDArray[np.float64]
+BATCH = 32
+"""Simulations judged together; one matrix product serves them all."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """How far a hypothesis gets from a starting value, without a refit of its shape.
+
+    `visible` is the q that its largest starting value would make: below some tens the recording does not excite it.
+    """
+
+    hypothesis: Hypothesis
+    start: Mapping[str, float]
+    gain: float
+    visible: float = 0.0
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One or more hypotheses, fitted together with the base.
+
+    Attributes
+    ----------
+    hypotheses : what is added
+    values : one mapping of parameter values for each
+    chi_square : q with them
+    gain : how much they lower q
+    covariance : (p, p) of the scaled coordinates
+    coordinates : (hypothesis index, parameter) of each coordinate
+    deviation : (N,) whitened change of the simulation
+    tangent : (N, p) its derivative
+    at_bound : parameters that ended at a physical bound
+    shift : how far the base moved its thermal parameters, in units of their columns
+    """
+
+    hypotheses: tuple[Hypothesis, ...]
+    values: tuple[dict[str, float], ...]
+    chi_square: float
+    gain: float
+    covariance: Floats
+    coordinates: tuple[tuple[int, str], ...]
+    deviation: Floats = field(repr=False)
+    tangent: Floats = field(repr=False)
+    at_bound: tuple[str, ...] = ()
+    shift: Floats = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys of the hypotheses."""
+        return tuple(h.key for h in self.hypotheses)
+
+    @property
+    def effects(self) -> dict[str, dict[str, float | str]]:
+        """What `Simulation.with_effects` takes."""
+        merged: dict[str, dict[str, float | str]] = {}
+        for hypothesis, values in zip(self.hypotheses, self.values, strict=True):
+            merged |= hypothesis.effects(values)
+        return merged
+
+    def std(self, index: int, name: str) -> float:
+        """Standard deviation of a parameter, 0 for one that was not fitted."""
+        if (index, name) not in self.coordinates:
+            return 0.0
+        place = self.coordinates.index((index, name))
+        unit = _unit(self.hypotheses[index], name, self.values[index][name])
+        return float(np.sqrt(max(self.covariance[place, place], 0.0))) * unit
+
+
+def _unit(hypothesis: Hypothesis, name: str, value: float) -> float:
+    """Change of the parameter per unit of its coordinate."""
+    return abs(value) * hypothesis.scales[name] if hypothesis.logarithmic(name) else hypothesis.scales[name]
+
+
+def _moved(hypothesis: Hypothesis, name: str, value: float, step: float) -> float:
+    """The value after a step in its coordinate, inside the bounds."""
+    low, high = hypothesis.bounds(name)
+    scale = hypothesis.scales[name]
+    new = (
+        value * float(np.exp(np.clip(step * scale, -2, 2)))
+        if hypothesis.logarithmic(name)
+        else value + step * scale
+    )
+    return float(np.clip(new, low, high))
+
+
+def score(
+    evidence: Evidence,
+    hypotheses: Sequence[Hypothesis],
+    residual: Floats,
+    *,
+    tick: Callable[[], None] = lambda: None,
+) -> list[Score]:
+    """Gain of every starting value of every hypothesis, its magnitude chosen as if the effect were linear in it.
+
+    Parameters
+    ----------
+    evidence : the problem
+    hypotheses : what is tried
+    residual : (N,) whitened, what is still to be explained; base not taken out
+    tick : called once per simulation
+
+    Returns
+    -------
+    the best start of each hypothesis, best hypothesis first
+    """
+    left = evidence.left(residual)
+    trials = [(h, dict(start)) for h in hypotheses for start in h.starts]
+    best: dict[str, Score] = {h.key: Score(h, h.starts[0], 0.0) for h in hypotheses}
+    for _ in range(2):
+        again = []
+        for first in range(0, len(trials), BATCH):
+            some = trials[first : first + BATCH]
+            columns = np.empty((residual.size, len(some)))
+            for place, (hypothesis, values) in enumerate(some):
+                tick()
+                columns[:, place] = evidence.deviation(hypothesis.effects(values))
+            own = evidence.chi_squares(columns)
+            along = left @ columns
+            for place, (hypothesis, values) in enumerate(some):
+                gain = float(2.0 * along[place] - own[place])
+                known = best[hypothesis.key]
+                seen = max(known.visible, float(own[place]))
+                if gain > known.gain:
+                    known = Score(hypothesis, values, gain)
+                best[hypothesis.key] = replace(known, visible=seen)
+                better = _rescaled(hypothesis, values, float(along[place]), float(own[place]))
+                if better:
+                    again.append((hypothesis, better))
+        trials = again
+    return sorted(best.values(), key=lambda s: -s.gain)
+
+
+def _rescaled(
+    hypothesis: Hypothesis, values: Mapping[str, float], along: float, own: float
+) -> dict[str, float] | None:
+    """The start with the magnitude that is best if the effect is linear in it; None where that says nothing new."""
+    linear = [n for n, v in values.items() if not hypothesis.logarithmic(n) and v != 0.0]
+    limits = any(abs(float(hypothesis.parameter(n).default)) > 1e9 for n in linear)  # type: ignore[arg-type]
+    if not linear or limits or own < 1e-9:
+        return None
+    factor = along / own
+    if not 0.02 < factor < 50 or abs(factor - 1) < 0.1:
+        return None
+    factor = min(max(factor, 0.1), 5.0)
+    return {
+        n: float(np.clip(v * factor, *hypothesis.bounds(n))) if n in linear else v for n, v in values.items()
+    }
+
+
+def fit_jointly(
+    evidence: Evidence,
+    hypotheses: Sequence[Hypothesis],
+    starts: Sequence[Mapping[str, float]],
+    *,
+    iterations: int = 12,
+    tick: Callable[[], None] = lambda: None,
+) -> Explanation:
+    """Bounded Levenberg-Marquardt in the parameters of all hypotheses, the base refitted at every step.
+
+    Parameters
+    ----------
+    evidence : the problem, or a part of it (`Evidence.restricted`)
+    hypotheses, starts : what is added, and where to begin
+    iterations : at most
+    tick : called once per simulation
+    """
+    values = [dict(start) for start in starts]
+    coordinates = tuple((k, name) for k, start in enumerate(values) for name in start)
+    problem = _Joint(evidence, tuple(hypotheses), coordinates, tick)
+    shift = np.zeros(len(evidence.names))
+    q_start = evidence.chi_square(evidence.residual)
+    for round_ in range(3):
+        values, change, q = problem.descend(values, shift, iterations if round_ == 0 else 4)
+        moved = evidence.absorb(evidence.residual - change)[-shift.size :] if shift.size else shift
+        if not shift.size or np.max(np.abs(moved - shift)) < 1.0:
+            break
+        shift = moved
+    if not problem.tangent.size:
+        problem.linearise(values, change, shift)
+    left = evidence.left(problem.tangent)
+    covariance = _covariance(evidence, problem.tangent, left, evidence.residual - change)
+    at_bound = tuple(
+        f"{hypotheses[k].key}.{name}"
+        for k, name in coordinates
+        if any(
+            np.isclose(values[k][name], b, rtol=1e-6) and abs(b) < 1e9 and b != 0.0
+            for b in hypotheses[k].bounds(name)
+        )
+    )
+    return Explanation(
+        tuple(hypotheses), tuple(values), q, q_start - q, covariance, coordinates, change, problem.tangent,
+        at_bound, shift,
+    )  # fmt: skip
+
+
+def _covariance(
+    evidence: Evidence, tangent: Floats, left: Floats, residual: Floats, blocks: int = 24
+) -> Floats:
+    """Covariance of the coordinates, widened for misfit that is correlated over long stretches.
+
+    The sandwich H^-1 S H^-1 with the scores summed over long blocks: what the model says where the residual is
+    noise, and what the scatter between blocks says where it is not.
+    """
+    if not tangent.shape[1]:
+        return np.zeros((0, 0))
+    inverse = np.linalg.pinv(tangent.T @ left + 1e-9 * np.eye(tangent.shape[1]))
+    remaining = evidence.left(residual)
+    scores = []
+    for row, part, _ in evidence.iterate():
+        edges = np.arange(blocks) * part.size // blocks
+        scores.append(np.add.reduceat(tangent[row.where] * remaining[row.where, None], edges, axis=0))
+    # a block of time is one piece of evidence for all channels together
+    summed: dict[int, Floats] = {}
+    for (row, _, _), block in zip(evidence.iterate(), scores, strict=True):
+        summed[row.part] = summed.get(row.part, 0.0) + block
+    stacked = np.concatenate(list(summed.values()))
+    spread = stacked.T @ stacked
+    sandwich = inverse @ spread @ inverse
+    wider = np.maximum(
+        np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(inverse), 1e-300), 0.0)), 1.0
+    )
+    return np.asarray(inverse * np.outer(wider, wider))
+
+
+class _Joint:
+    """Levenberg-Marquardt in the coordinates of several hypotheses; the base is eliminated at every step."""
+
+    def __init__(
+        self,
+        evidence: Evidence,
+        hypotheses: tuple[Hypothesis, ...],
+        coordinates: tuple[tuple[int, str], ...],
+        tick: Callable[[], None],
+    ) -> None:
+        self.evidence, self.hypotheses, self.coordinates, self.tick = evidence, hypotheses, coordinates, tick
+        self.tangent: Floats = np.zeros((evidence.weight.size, 0))
+
+    def deviation(self, at: Sequence[Mapping[str, float]], shift: Floats) -> Floats:
+        """Whitened change of the simulation."""
+        self.tick()
+        merged: dict[str, dict[str, float | str]] = {}
+        for hypothesis, given in zip(self.hypotheses, at, strict=True):
+            merged |= hypothesis.effects(given)
+        return self.evidence.deviation(merged, shift if np.any(shift) else None)
+
+    def linearise(self, values: Sequence[Mapping[str, float]], change: Floats, shift: Floats) -> None:
+        """Set `tangent` (N, p) by differences."""
+        tangent = np.zeros((change.size, len(self.coordinates)))
+        for place, (k, name) in enumerate(self.coordinates):
+            for step in (0.5, -0.5):  # at a bound: look the other way
+                moved = [dict(v) for v in values]
+                moved[k][name] = _moved(self.hypotheses[k], name, values[k][name], step)
+                actual = _distance(self.hypotheses[k], name, values[k][name], moved[k][name])
+                if abs(actual) > 0.1:
+                    tangent[:, place] = (self.deviation(moved, shift) - change) / actual
+                    break
+        self.tangent = tangent
+
+    def descend(
+        self, start: Sequence[Mapping[str, float]], shift: Floats, iterations: int
+    ) -> tuple[list[dict[str, float]], Floats, float]:
+        """Return values, change and q at the minimum near the start."""
+        evidence, target = self.evidence, self.evidence.residual
+        values = [dict(v) for v in start]
+        change = self.deviation(values, shift)
+        q = q_first = evidence.chi_square(target - change)
+        damping = 1e-3
+        for _ in range(iterations):
+            self.linearise(values, change, shift)
+            left = evidence.left(self.tangent)
+            normal = self.tangent.T @ left
+            right = left.T @ (target - change)
+            improved = False
+            for _ in range(6):
+                ridge = damping * np.diag(normal) + 1e-9
+                step = np.clip(np.linalg.solve(normal + np.diag(ridge), right), -30, 30)
+                trial = [dict(v) for v in values]
+                for place, (k, name) in enumerate(self.coordinates):
+                    trial[k][name] = _moved(self.hypotheses[k], name, values[k][name], float(step[place]))
+                new = self.deviation(trial, shift)
+                q_new = evidence.chi_square(target - new)
+                if q_new < q - 1e-6:
+                    improved = True
+                    break
+                damping = max(damping * 10, 1e-3)
+            if not improved:
+                break
+            drop = q - q_new
+            values, change, q = trial, new, q_new
+            damping = max(damping * 0.2, 1e-6)
+            if drop < 0.05 + 1e-4 * max(q_first - q, 0.0):
+                break
+        return values, change, q
+
+
+def _distance(hypothesis: Hypothesis, name: str, old: float, new: float) -> float:
+    """Difference of two values in the parameter's coordinate."""
+    scale = hypothesis.scales[name]
+    if hypothesis.logarithmic(name):
+        return float(np.log(new / old)) / scale if old > 0 and new > 0 else 0.0
+    return (new - old) / scale

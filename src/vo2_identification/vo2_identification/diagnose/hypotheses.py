@@ -1,0 +1,192 @@
+"""What could have been left out: every effect of the catalogue, on every signal, with starting values.
+
+Nothing here knows an effect by name. Starting values follow from the record: its neutral values tell a
+magnitude from a shape parameter, its typical range the size, its units where the recording itself can say
+more (a frequency from the residual's spectrum, a limit or a step from the values).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+from vo2_models.device.coefficients import HUGE
+from vo2_models.effects import Effect, effects
+from vo2_models.parameters import Parameter
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE
+
+from vo2_identification.diagnose.evidence import Evidence
+from vo2_identification.diagnose.part import value_step
+
+__all__ = ["Hypothesis", "hypotheses"]
+
+Floats = NDArray[np.float64]
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One effect on one signal.
+
+    Attributes
+    ----------
+    record : of the catalogue
+    signal : channel it sits on, empty for none
+    starts : starting values of the parameters that are fitted; one that a start leaves out stays neutral
+    scales : parameter -> a step that matters
+    """
+
+    record: Effect
+    signal: str
+    starts: tuple[Values, ...]
+    scales: Values
+
+    @property
+    def key(self) -> str:
+        """Id, with the signal where there is one."""
+        return f"{self.record.id}:{self.signal}" if self.signal else self.record.id
+
+    def effects(self, values: Values) -> dict[str, dict[str, float | str]]:
+        """Return what `Simulation.with_effects` takes."""
+        given: dict[str, float | str] = dict(values)
+        return {self.key: {**given, "signal": self.signal} if self.signal else given}
+
+    def parameter(self, name: str) -> Parameter:
+        """Record of a parameter."""
+        return next(p for p in self.record.parameters if p.name == name)
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        """Physical range."""
+        parameter = self.parameter(name)
+        return float(parameter.lower or 0.0), float(parameter.upper or 0.0)
+
+    def logarithmic(self, name: str) -> bool:
+        """Whether it is fitted by its logarithm: a shape parameter, which is positive and not neutral at zero."""
+        parameter = self.parameter(name)
+        return float(parameter.default) > 0 and float(parameter.lower or 0.0) > 0  # type: ignore[arg-type]
+
+
+def hypotheses(evidence: Evidence, device: str, residual: Floats) -> list[Hypothesis]:
+    """Return every hypothesis that can show in the recordings' channels.
+
+    Parameters
+    ----------
+    evidence : the problem
+    device : preset id
+    residual : (N,) what is to be explained, whitened, base taken out
+    """
+    measured = {row.channel for row in evidence.rows}
+    found = []
+    for record in effects().values():
+        if device not in record.presets:
+            continue
+        for signal in record.signals(device):
+            if not measured & set(record.reaches(device, signal)):
+                continue
+            starts, scales = _starts(evidence, record, signal, device, residual)
+            if starts:
+                found.append(Hypothesis(record, signal, tuple(starts), scales))
+    return found
+
+
+def _starts(
+    evidence: Evidence, record: Effect, signal: str, device: str, residual: Floats
+) -> tuple[list[dict[str, float]], dict[str, float]]:
+    typical = record.typical.get(f"{device}:{signal}") or record.typical.get(device, {})
+    free = [p for p in record.parameters if p.name not in record.fixed]
+    limits = [p for p in free if abs(_neutral(p)) >= HUGE and p.unit in ("A", "channel unit")]
+    if limits:  # flat tops: each limit by itself, at places where the values end
+        starts: list[dict[str, float]] = []
+        scales: dict[str, float] = {}
+        for p in limits:
+            seen = _values(evidence, signal or HEATER_CURRENT)
+            spread = float(np.ptp(seen))
+            upper = _neutral(p) > 0
+            ends = np.quantile(seen, [1.0, 0.98, 0.9, 0.8, 0.6] if upper else [0.0, 0.02, 0.1, 0.2, 0.4])
+            starts += [{p.name: float(end)} for end in dict.fromkeys(ends.tolist())]
+            scales[p.name] = 0.02 * spread
+        return starts, scales
+    grids: dict[str, list[float]] = {}
+    scales = {}
+    for p in free:
+        low, high = typical.get(p.name, (0.0, 0.0))
+        middle = float(np.sqrt(low * high)) if low > 0 else 0.0
+        if p.unit == "Hz":
+            grids[p.name] = _frequencies(evidence, record, signal, device, residual)
+            scales[p.name] = 0.02
+        elif _neutral(p) == 0.0 and not middle:
+            grids[p.name] = [0.0]
+            scales[p.name] = 0.0  # set below, from the other magnitudes
+        elif _neutral(p) == 0.0:
+            several = [middle] if len(free) > 1 else [0.4 * middle, 2.0 * middle]
+            grids[p.name] = several + ([-v for v in several] if (p.lower or 0.0) < 0 else [])
+            scales[p.name] = 0.05 * middle
+        elif middle:
+            count = 5 if len(free) > 1 else 4
+            grids[p.name] = np.geomspace(low / 3, high * 3, count).tolist()
+            scales[p.name] = 0.05
+        else:
+            grids[p.name] = [_neutral(p)]
+            scales[p.name] = 0.05
+    if "step" in grids and signal:
+        step = value_step(_values(evidence, signal))
+        if step:
+            grids["step"] = [step]
+    for p in free:
+        if scales[p.name] == 0.0:  # a magnitude without typical value: what the whole recording makes visible
+            length = max(part.time_s[-1] - part.time_s[0] for part in evidence.parts)
+            first = next((v for n, v in scales.items() if v), 0.0)
+            scales[p.name] = first / length if p.unit.endswith("s^2") else first
+    starts = []
+    for combination in product(*grids.values()):
+        values = dict(zip(grids, combination, strict=True))
+        starts.append({n: _clipped(record, n, v) for n, v in values.items()})
+    return starts, scales
+
+
+def _neutral(parameter: Parameter) -> float:
+    return float(parameter.default)  # type: ignore[arg-type]
+
+
+def _clipped(record: Effect, name: str, value: float) -> float:
+    parameter = next(p for p in record.parameters if p.name == name)
+    return float(np.clip(value, parameter.lower, parameter.upper))
+
+
+def _values(evidence: Evidence, channel: str) -> Floats:
+    """All values of a channel in its own unit; of the drive where the current is not compared."""
+    found = []
+    for part in evidence.parts:
+        if channel in part.observed:
+            values = part.observed[channel][part.valid[channel]]
+            found.append(10.0**values if channel == RESISTANCE else values)
+        elif channel == HEATER_CURRENT:
+            found.append(np.abs(part.current))
+    values = np.concatenate(found) if found else np.zeros(1)
+    return np.abs(values) if channel == HEATER_CURRENT else values
+
+
+def _frequencies(
+    evidence: Evidence, record: Effect, signal: str, device: str, residual: Floats
+) -> list[float]:
+    """Peaks of the residual's spectrum in the channels that the effect reaches, and a coarse grid [Hz]."""
+    reached = record.reaches(device, signal)
+    found: list[float] = []
+    for row, part, _ in evidence.iterate():
+        if row.channel not in reached:
+            continue
+        size = min(2048, part.size)
+        frequency, power = welch(residual[row.where], fs=1.0 / part.dt, nperseg=size)
+        inner = slice(3, -1)
+        order = np.argsort(power[inner])[::-1]
+        for k in order:
+            candidate = float(frequency[inner][k])
+            if all(abs(np.log(candidate / f)) > 0.15 for f in found):
+                found.append(candidate)
+            if len(found) >= 6:
+                break
+    return found

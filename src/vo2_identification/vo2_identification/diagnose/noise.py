@@ -1,0 +1,131 @@
+"""Noise of a channel: its level and colour, and the filter that whitens it.
+
+Sensor noise may be coloured. A test that takes it for white alarms in most recordings without any effect,
+so everything downstream works on innovations of an autoregressive model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter, lfiltic
+
+__all__ = ["NoiseModel", "fit_noise", "level_from_differences"]
+
+Floats = NDArray[np.float64]
+LONGEST = 4
+"""Highest autoregressive order considered [samples]."""
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """x_k = a_1 x_(k-1) + ... + a_p x_(k-p) + e_k, e white.
+
+    Attributes
+    ----------
+    innovation : standard deviation of e, in the channel's unit
+    ar : (p,) coefficients, empty for white noise
+    """
+
+    innovation: float
+    ar: tuple[float, ...] = ()
+
+    @property
+    def level(self) -> float:
+        """Standard deviation of the noise itself, in the channel's unit."""
+        if not self.ar:
+            return self.innovation
+        impulse = np.zeros(2000)
+        impulse[0] = 1.0
+        response = lfilter([1.0], [1.0, *(-a for a in self.ar)], impulse)
+        return self.innovation * float(np.sqrt(np.sum(response**2)))
+
+    @property
+    def thinning(self) -> float:
+        """How many neighbouring samples count as one for a slow signal: (1 / (1 - sum a))^2 e^2 / level^2."""
+        return (self.innovation / (max(1.0 - sum(self.ar), 0.02) * self.level)) ** 2
+
+    def whiten(self, x: Floats) -> Floats:
+        """Filter (n, ...) along the first axis to innovations of unit variance.
+
+        The start is treated as if the series had been at its first value before, damped to the scale a
+        stationary start has, so that no spike of the filter enters.
+        """
+        x = np.asarray(x, dtype=np.float64)
+        if not self.ar:
+            return x / self.innovation
+        out = lfilter([1.0, *(-a for a in self.ar)], [1.0], x, axis=0) / self.innovation
+        order = len(self.ar)
+        out[:order] = x[:order] / self.level
+        return out
+
+    def color(self, innovations: Floats) -> Floats:
+        """Undo `whiten`: (n,) innovations of unit variance to the channel's unit."""
+        if not self.ar:
+            return innovations * self.innovation
+        e = innovations * self.innovation
+        order = len(self.ar)
+        start = innovations[:order] * self.level
+        # the filter's first outputs are given, the rest follows from the recursion
+        out = np.empty_like(e)
+        out[:order] = start
+        memory = lfiltic([1.0], [1.0, *(-a for a in self.ar)], y=start[::-1])
+        out[order:] = lfilter([1.0], [1.0, *(-a for a in self.ar)], e[order:], zi=memory)[0]
+        return out
+
+    def scaled(self, factor: float) -> NoiseModel:
+        """The same colour at `factor` times the level."""
+        return NoiseModel(self.innovation * factor, self.ar)
+
+
+def level_from_differences(x: Floats) -> float:
+    """Robust level of white noise on a signal that is smooth over three samples [unit of x].
+
+    Median of second differences, which a linear trend does not reach; for positively correlated noise it
+    is a lower bound.
+    """
+    second = x[2:] - 2 * x[1:-1] + x[:-2]
+    if second.size == 0:
+        return 0.0
+    return float(np.median(np.abs(second)) / (0.674490 * np.sqrt(6.0)))
+
+
+def fit_noise(
+    residual: Floats, valid: NDArray[np.bool_] | None = None, *, order: int = LONGEST
+) -> NoiseModel:
+    """Estimate level and colour by Yule-Walker equations, the order by the Bayesian information criterion.
+
+    Parameters
+    ----------
+    residual : (n,) what a good model leaves over; outliers beyond 5 robust deviations are set to zero
+    valid : (n,) samples that count
+    order : highest order tried
+
+    Raises
+    ------
+    ValueError : fewer than 50 valid samples.
+    """
+    keep = np.isfinite(residual) if valid is None else valid & np.isfinite(residual)
+    if np.count_nonzero(keep) < 50:
+        raise ValueError(f"residual: found {np.count_nonzero(keep)} valid samples, need at least 50")
+    x = np.where(keep, residual, 0.0)
+    spread = 1.4826 * float(np.median(np.abs(x[keep] - np.median(x[keep]))))
+    if spread > 0:
+        x = np.clip(x, -5 * spread, 5 * spread)
+    n = np.count_nonzero(keep)
+    covariance = np.array([np.dot(x[: x.size - k], x[k:]) / n for k in range(order + 1)])
+    if covariance[0] <= 0:
+        return NoiseModel(np.finfo(float).tiny)
+    best, best_score = NoiseModel(float(np.sqrt(covariance[0]))), n * np.log(covariance[0])
+    for p in range(1, order + 1):
+        a = solve_toeplitz(covariance[:p], covariance[1 : p + 1])
+        variance = covariance[0] - float(np.dot(a, covariance[1 : p + 1]))
+        if variance <= 0:
+            continue
+        score = n * np.log(variance) + 2 * p * np.log(n)
+        if score < best_score:
+            best, best_score = NoiseModel(float(np.sqrt(variance)), tuple(float(v) for v in a)), score
+    return best

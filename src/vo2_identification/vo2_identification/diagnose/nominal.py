@@ -1,0 +1,222 @@
+"""The fitted simulation as a diagnosis uses it: judged units, noise of each channel, correction of the loop shape."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from vo2_models.device import DeviceModel, preset
+from vo2_models.device.coefficients import CHANNELS, Coefficient
+from vo2_models.fitting.digest import CalibrationDigest
+from vo2_models.fitting.enrichment import Correction, EnrichmentBasis
+from vo2_models.model_file import load_model_parameters
+from vo2_models.parameters import Value
+from vo2_models.recording import (
+    COMMANDED_CURRENT,
+    HEATER_CURRENT,
+    RESISTANCE,
+    STAGE_TEMPERATURE,
+    TIP_DEFLECTION,
+    Recording,
+)
+
+from vo2_identification.diagnose.noise import NoiseModel
+
+__all__ = ["JUDGED_UNIT", "Nominal", "Response", "drive_of", "judged"]
+
+Floats = NDArray[np.float64]
+JUDGED_UNIT = {HEATER_CURRENT: "A", RESISTANCE: "log10 ohm", TIP_DEFLECTION: "m", STAGE_TEMPERATURE: "degC"}
+"""Unit in which a channel is compared: resistance in decades, the others as they are."""
+THERMAL = {
+    "driver.dead_time": Coefficient.DEAD_TIME,
+    "thermal.ambient": Coefficient.AMBIENT,
+    "thermal.linear_gain": Coefficient.LINEAR_GAIN,
+    "thermal.square_gain": Coefficient.SQUARE_GAIN,
+    "thermal.time_constant": Coefficient.TIME_CONSTANT,
+}
+
+
+def judged(channel: str, values: Floats) -> Floats:
+    """Values in the unit in which they are compared; NaN for a resistance that is not positive."""
+    if channel != RESISTANCE:
+        return np.asarray(values, dtype=np.float64)
+    out = np.full(values.shape, np.nan)
+    positive = np.isfinite(values) & (values > 0)
+    out[positive] = np.log10(values[positive])
+    return out
+
+
+def drive_of(recording: Recording) -> tuple[Floats, bool]:
+    """Return what the simulation is driven with [A], and whether the logged current is a reading of its own.
+
+    Driver effects act between the command and the current. Where the bag has commands these drive the
+    simulation, and a logged current that differs from them is one more channel; a logged current that only
+    repeats the command says nothing.
+    """
+    logged = recording[HEATER_CURRENT]
+    if COMMANDED_CURRENT not in recording:
+        return _held(logged), False
+    command = recording[COMMANDED_CURRENT]
+    command = np.where(np.isfinite(command), command, logged)
+    both = np.isfinite(logged)
+    scale = max(float(np.ptp(command[both])), 1e-12) if np.any(both) else 1.0
+    own = bool(np.any(np.abs(logged[both] - command[both]) > 1e-6 * scale))
+    return _held(command), own
+
+
+def _held(current: Floats) -> Floats:
+    """Hold the last value over missing samples, as a driver does."""
+    good = np.isfinite(current)
+    if good.all():
+        return np.ascontiguousarray(current)
+    if not good.any():
+        raise ValueError("heater_current: found no finite sample, need the current that drives the device")
+    last = np.maximum.accumulate(np.where(good, np.arange(current.size), 0))
+    filled = current[last]
+    filled[: np.argmax(good)] = current[np.argmax(good)]
+    return filled
+
+
+@dataclass(frozen=True)
+class Response:
+    """What the simulation says about one recording.
+
+    Attributes
+    ----------
+    channels : channel -> (n,) in judged units
+    temperature : (n,) of the film [degC]
+    """
+
+    channels: Mapping[str, Floats]
+    temperature: Floats
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """A fitted simulation with everything a diagnosis needs to know about it.
+
+    Attributes
+    ----------
+    model : as fitted, without effects
+    parameters : the whole model file, for the corrected one
+    digest : the calibration in short, None for a model file without it
+    noise : channel -> noise in judged units
+    corrections : channel -> correction of the loop shape, from the digest (resistance and deflection)
+    """
+
+    model: DeviceModel
+    parameters: Mapping[str, Value]
+    digest: CalibrationDigest | None
+    noise: Mapping[str, NoiseModel]
+    corrections: Mapping[str, Correction] = field(default_factory=dict)
+
+    @classmethod
+    def from_parameters(cls, parameters: Mapping[str, Value]) -> Nominal:
+        """Read a model file's parameters.
+
+        Raises
+        ------
+        ValueError : no resistance law in it, or whatever `DeviceModel` refuses.
+        """
+        model = DeviceModel.from_parameters(parameters)
+        if not model.resistance.present and not model.deflection.present:
+            raise ValueError("model: found no resistance and no deflection law, need a file that `fit` wrote")
+        digest = CalibrationDigest.from_parameters(parameters)
+        stored = {
+            RESISTANCE: digest.noise_log_resistance if digest else (),
+            TIP_DEFLECTION: digest.noise_deflection if digest else (),
+            STAGE_TEMPERATURE: digest.noise_stage if digest else (),
+        }
+        noise = {}
+        for channel in CHANNELS:
+            if stored.get(channel):
+                noise[channel] = NoiseModel(stored[channel][0], tuple(stored[channel][1:]))
+                continue
+            level = model.sensors[channel].noise if channel in model.sensors else 0.0
+            level = level or preset(model.device).noise.get(channel, 0.0)
+            if level > 0:
+                noise[channel] = NoiseModel(level / np.log(10) if channel == RESISTANCE else level)
+        return cls(model, dict(parameters), digest, noise)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Nominal:
+        """Read a model file; raise a `ValueError` that names the file or the parameter."""
+        return cls.from_parameters(load_model_parameters(path))
+
+    @property
+    def device(self) -> str:
+        """Preset id."""
+        return self.model.device
+
+    @property
+    def span(self) -> dict[str, float]:
+        """Range of each channel in judged units: what shares of range divide by."""
+        nominal = preset(self.device)
+        low, high = nominal.resistance_range
+        currents = nominal.operating_range
+        temperatures = [nominal.steady_temperature(i) for i in currents]
+        return {
+            HEATER_CURRENT: abs(currents[1] - currents[0]),
+            RESISTANCE: float(np.log10(high / low)),
+            TIP_DEFLECTION: nominal.deflection_range,
+            STAGE_TEMPERATURE: abs(temperatures[1] - temperatures[0]),
+        }
+
+    @property
+    def basis(self) -> EnrichmentBasis:
+        """Basis of the loop-shape correction, placed where the preset's domains are."""
+        nominal = preset(self.device)
+        heating, width = nominal.heating, nominal.width
+        cold, hot = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
+        return EnrichmentBasis(
+            typical_centre=(heating[0] - 0.5 * width[0], heating[1]),
+            typical_half_width=(0.5 * width[0], 0.5 * width[1]),
+            temperature_degc=(min(cold, nominal.ambient) - 5.0, hot + 10.0),
+        )
+
+    def respond(
+        self,
+        current: Floats,
+        dt: float,
+        *,
+        effects: Mapping[str, Mapping[str, float | str]] | None = None,
+        thermal: Mapping[str, float] | None = None,
+        settled: bool = False,
+    ) -> Response:
+        """Simulate without noise.
+
+        Parameters
+        ----------
+        current : (n,) what drives the device [A]
+        dt : sample period [s]
+        effects : what is added
+        thermal : values that replace those of the model, by name as in `THERMAL`
+        settled : whether the device had come to rest at the first current before, instead of at no current
+        """
+        chain = self.model.simulation
+        c = chain.coefficients.copy()
+        for name, value in (thermal or {}).items():
+            c[THERMAL[name]] = value
+        chain = replace(chain, coefficients=c)
+        if effects:
+            chain = chain.with_effects(effects)
+        lead = 0
+        if settled:
+            lead = int(np.ceil(10 * (c[Coefficient.TIME_CONSTANT] + c[Coefficient.DEAD_TIME]) / dt))
+            current = np.concatenate([np.full(lead, current[0]), current])
+        out = chain.run(current, dt=dt)
+        film = np.nan_to_num(out[:, 5], nan=1e4, posinf=1e4, neginf=-1e4).clip(-1e4, 1e4)
+        found = {}
+        for k, channel in enumerate(CHANNELS):
+            if channel == STAGE_TEMPERATURE and not preset(self.device).measures_temperature:
+                continue
+            # a candidate may drive the simulation out of anything physical: it must only look very wrong
+            raw = np.nan_to_num(out[:, k], nan=1e9, posinf=1e9, neginf=-1e9).clip(-1e9, 1e9)
+            found[channel] = np.log10(np.maximum(raw, 1e-3)) if channel == RESISTANCE else raw
+        for channel, correction in self.corrections.items():
+            shift = chain.coefficients[Coefficient.TRANSITION_OFFSET] if channel == TIP_DEFLECTION else 0.0
+            found[channel] = found[channel] + correction(film + shift if shift else film)
+        return Response({k: v[lead:] for k, v in found.items()}, film[lead:])

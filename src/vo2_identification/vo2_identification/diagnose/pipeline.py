@@ -1,0 +1,306 @@
+"""The diagnosis as one function: recordings and a fitted simulation in, an answer with its evidence out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from vo2_models.parameters import Value
+from vo2_models.recording import Recording
+
+from vo2_identification.diagnose.check import Finding, Unusable, check_recording
+from vo2_identification.diagnose.decide import HeldOut, Thresholds, block_folds, held_out
+from vo2_identification.diagnose.evidence import Evidence, gather
+from vo2_identification.diagnose.explain import Explanation, Score, fit_jointly, score
+from vo2_identification.diagnose.hypotheses import Hypothesis, hypotheses
+from vo2_identification.diagnose.locate import Breakdown, breakdown
+from vo2_identification.diagnose.nominal import Nominal
+from vo2_identification.diagnose.part import prepare
+from vo2_identification.diagnose.result import Diagnosis
+from vo2_identification.diagnose.statement import assemble
+from vo2_identification.diagnose.unknown import Unnamed, describe_unknown
+
+__all__ = ["Study", "diagnose", "study"]
+
+Floats = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+SHORTLIST = 8
+"""Hypotheses that are refitted in full."""
+UNSEEN = 50.0
+"""An effect whose typical size would change q by less than this is not excited."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """Everything behind a diagnosis: what the report draws and the next experiment is designed from.
+
+    Attributes
+    ----------
+    nominal : fitted simulation
+    evidence : the problem, about the nominal simulation
+    final : the problem about the best explanation (the same where there is none)
+    findings : limits of the data
+    scores : all hypotheses by promise
+    singles : refitted single explanations, best first
+    chosen : what is named, None for nothing
+    rivals : explanations with one effect replaced, best first
+    outside : correction without a name, None where not needed
+    judged : held-out quality of `chosen` (or of the base alone)
+    named_share : share of the excess that the named effects explain on held-out blocks
+    breakdown : where the excess is
+    excess : channel -> excess power over noise power, base refitted
+    total_excess : the same of all channels
+    differs : whether the excess counts
+    """
+
+    nominal: Nominal
+    evidence: Evidence
+    final: Evidence
+    findings: tuple[Finding, ...]
+    thresholds: Thresholds
+    scores: tuple[Score, ...] = ()
+    singles: tuple[Explanation, ...] = ()
+    chosen: Explanation | None = None
+    rivals: tuple[Explanation, ...] = ()
+    outside: Unnamed | None = None
+    judged: HeldOut | None = None
+    breakdown: tuple[Breakdown, ...] = ()
+    excess: Mapping[str, float] = field(default_factory=dict)
+    total_excess: float = 0.0
+    remaining_excess: float = 0.0
+    differs: bool = False
+    not_excited: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+
+class _Clock:
+    """Progress in shares of the expected number of simulations."""
+
+    def __init__(self, report: Progress, expected: int) -> None:
+        self.report, self.expected, self.done, self.text = report, expected, 0, ""
+
+    def say(self, text: str) -> None:
+        self.text = text
+        self.report(min(self.done / self.expected, 0.99), text)
+
+    def tick(self) -> None:
+        self.done += 1
+        if self.done % 16 == 0:
+            self.report(min(self.done / self.expected, 0.99), self.text)
+
+
+def diagnose(
+    recordings: Sequence[Recording],
+    model: Mapping[str, Value] | Nominal,
+    *,
+    progress: Progress = lambda share, text: None,
+) -> Diagnosis:
+    """Compare recordings with a fitted simulation and say what was left out.
+
+    Parameters
+    ----------
+    recordings : of one device, taken together
+    model : flat `model.*` parameters as `load_model_parameters` reads them
+    progress : called with the share done, 0 to 1, and what is being done
+
+    Raises
+    ------
+    Unusable : (a ValueError) data or model with which nothing can be said; one line with the reason.
+    """
+    return assemble(study(recordings, model, progress=progress))
+
+
+def study(
+    recordings: Sequence[Recording],
+    model: Mapping[str, Value] | Nominal,
+    *,
+    thresholds: Thresholds | None = None,
+    progress: Progress = lambda share, text: None,
+) -> Study:
+    """As `diagnose`, with the evidence kept."""
+    began = time.perf_counter()
+    limits = thresholds or Thresholds()
+    clock = _Clock(progress, 700)
+    clock.say("checking the data")
+    if not recordings:
+        raise Unusable("recording: found none, need at least one")
+    nominal = model if isinstance(model, Nominal) else Nominal.from_parameters(model)
+    findings: list[Finding] = []
+    parts = []
+    for number, recording in enumerate(recordings, 1):
+        name = f"recording {number}"
+        findings += check_recording(recording, nominal, name=name)
+        parts.append(prepare(recording, nominal, name=name))
+    evidence = gather(nominal, parts, say=clock.say)
+    evidence = _started(evidence, nominal, clock)
+    shift = evidence.absorb(evidence.residual)[-len(evidence.names) :] if evidence.names else np.zeros(0)
+    q = evidence.chi_square(evidence.residual)
+    if np.any(np.abs(shift) > 2.0):
+        q = min(q, evidence.chi_square(evidence.residual - evidence.deviation({}, shift)))
+    left = evidence.left(evidence.residual)
+    excess, total = _excess(evidence, left, q)
+    base = Study(
+        nominal, evidence, evidence, tuple(findings), limits, excess=excess, total_excess=total,
+        breakdown=tuple(breakdown(evidence, left)),
+    )  # fmt: skip
+    combs = any(part.comb for part in parts)
+    differs = total > limits.excess or any(v > limits.channel_excess for v in excess.values())
+    if not differs and not combs:
+        clock.say("judging on held-out blocks")
+        judged = held_out(evidence, None)
+        return replace(base, judged=judged, seconds=time.perf_counter() - began)
+    return replace(_explained(base, clock), differs=True, seconds=time.perf_counter() - began)
+
+
+def _started(evidence: Evidence, nominal: Nominal, clock: _Clock) -> Evidence:
+    """Take a recording as begun at its first current where that fits its first samples far better than a cold start."""
+    parts = list(evidence.parts)
+    for index, part in enumerate(parts):
+        tau = evidence.nominal.model.scalars["thermal.time_constant"]
+        first = int(np.clip(np.ceil(5 * tau / part.dt), 3, part.size // 10))
+        cold = evidence.nominal_responses[index]
+        warm = evidence.nominal.respond(part.current, part.dt, thermal=evidence.thermal, settled=True)
+        misses = []
+        for response in (cold, warm):
+            miss = 0.0
+            for channel in part.channels:
+                noise = evidence.nominal.noise[channel].level
+                gap = (part.observed[channel] - response.channels[channel])[:first][
+                    part.valid[channel][:first]
+                ]
+                miss += float(np.sum(np.minimum((gap / noise) ** 2, 1e6)))
+            misses.append(miss)
+        if misses[1] < 0.2 * misses[0] - 100:
+            parts[index] = replace(part, settled=True)
+    if all(new is old for new, old in zip(parts, evidence.parts, strict=True)):
+        return evidence
+    return gather(nominal, parts, say=clock.say)
+
+
+def _excess(evidence: Evidence, left: Floats, q: float) -> tuple[dict[str, float], float]:
+    """Excess power over noise power, by channel and of all: each channel's part of q over its samples."""
+    own: dict[str, list[float]] = {}
+    for row, _, _ in evidence.iterate():
+        energy = float(evidence.residual[row.where] @ left[row.where])
+        count = float(np.count_nonzero(evidence.weight[row.where]))
+        total = own.setdefault(row.channel, [0.0, 0.0])
+        total[0] += energy
+        total[1] += count
+    return {c: e / max(n, 1.0) - 1.0 for c, (e, n) in own.items()}, q / max(evidence.count, 1) - 1.0
+
+
+def _explained(base: Study, clock: _Clock) -> Study:
+    """Search, decide, and judge on held-out blocks."""
+    evidence, limits = base.evidence, base.thresholds
+    device = base.nominal.device
+    left = evidence.left(evidence.residual)
+    candidates = hypotheses(evidence, device, left)
+    clock.expected = 2 * sum(len(h.starts) for h in candidates) + 40 * SHORTLIST + 200
+    clock.say(f"trying {len(candidates)} effects")
+    scores = score(evidence, candidates, evidence.residual, tick=clock.tick)
+    clock.say("refitting the most promising")
+    promising = [s for s in scores if s.gain > 0.02 * max(scores[0].gain, 0.0)][:SHORTLIST]
+    singles = [fit_jointly(evidence, [s.hypothesis], [s.start], tick=clock.tick) for s in promising]
+    singles.sort(key=lambda e: e.chi_square + len(e.coordinates) * np.log(evidence.count))
+    not_excited = tuple(_not_excited(scores))
+    final, chosen, rivals = evidence, None, list(singles)
+    remaining = base.total_excess
+    if singles and singles[0].gain > limits.gain:
+        final, chosen = _relinearised(base, singles[0], clock)
+        remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0
+        if _incomplete(remaining, base.total_excess, limits):
+            pair = _second(base, final, chosen, candidates, clock)
+            if pair is not None:
+                final, chosen, rivals, remaining = pair
+    clock.say("judging on held-out blocks")
+    judged = held_out(final, chosen, tick=clock.tick)
+    outside = None
+    share = 1.0 - max(remaining, 0.0) / max(base.total_excess, 1e-9)
+    named = chosen is not None and share >= limits.share and judged.stable
+    if not named or (remaining > limits.small and share < limits.complete):
+        clock.say("shaping what has no name")
+        folds = block_folds(evidence)
+        outside = describe_unknown(evidence, left, folds)
+        chosen_kept = chosen if named and share >= limits.complete else None
+        if chosen_kept is None:
+            final, judged = evidence, held_out(evidence, None)
+            chosen = None
+    best = evidence.left(evidence.residual) if chosen is None else _trace(final, chosen)
+    return replace(
+        base,
+        final=final,
+        scores=tuple(scores),
+        singles=tuple(singles),
+        chosen=chosen,
+        rivals=tuple(rivals),
+        outside=outside,
+        judged=judged,
+        remaining_excess=remaining,
+        breakdown=tuple(breakdown(evidence, best)),
+        not_excited=not_excited,
+    )
+
+
+def _trace(final: Evidence, chosen: Explanation) -> Floats:
+    """What the effects leave in the recording: the residual with the base as it is beside them."""
+    plain = replace(final, included={})
+    without = plain.stack(plain.responses({}), final.nominal_responses)
+    weights = final.absorb(final.residual - chosen.deviation)
+    return final.residual - without - final.base @ weights
+
+
+def _incomplete(remaining: float, excess: float, limits: Thresholds) -> bool:
+    return remaining > limits.small * 0.5 and remaining > 0.02 * excess
+
+
+def _relinearised(base: Study, best: Explanation, clock: _Clock) -> tuple[Evidence, Explanation]:
+    """Build the problem about an explanation and fit it once more there."""
+    clock.say("linearising about the explanation")
+    final = gather(base.nominal, base.evidence.parts, effects=best.effects)
+    again = fit_jointly(final, best.hypotheses, best.values, iterations=6, tick=clock.tick)
+    # gains are told against the base alone, about the nominal simulation
+    q_base = base.evidence.count * (1.0 + base.total_excess)
+    return final, replace(again, gain=q_base - again.chi_square)
+
+
+def _second(
+    base: Study, about: Evidence, first: Explanation, candidates: Sequence[Hypothesis], clock: _Clock
+) -> tuple[Evidence, Explanation, list[Explanation], float] | None:
+    """Look for one more effect beside those found; None if no other is worth it."""
+    limits = base.thresholds
+    clock.say("looking for a second effect")
+    taken = set(first.keys)
+    others = [h for h in candidates if h.key not in taken]
+    residual = about.residual - first.deviation
+    scores = score(about, others, residual, tick=clock.tick)
+    pairs = []
+    for s in scores[:4]:
+        if s.gain <= limits.gain:
+            continue
+        joint = fit_jointly(
+            about, [*first.hypotheses, s.hypothesis], [*first.values, s.start], iterations=8, tick=clock.tick
+        )
+        pairs.append(joint)
+    if not pairs:
+        return None
+    pairs.sort(key=lambda e: e.chi_square)
+    best = pairs[0]
+    before = about.chi_square(residual)
+    drop = before - best.chi_square
+    left_over = before - about.count
+    if drop < limits.gain or drop < 0.4 * left_over:
+        return None
+    final, chosen = _relinearised(base, best, clock)
+    remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0
+    return final, chosen, pairs, remaining
+
+
+def _not_excited(scores: Sequence[Score]) -> list[str]:
+    """Effects that a clearly visible magnitude would not show in these recordings."""
+    seen: dict[str, float] = {}
+    for s in scores:
+        seen[s.hypothesis.record.id] = max(seen.get(s.hypothesis.record.id, 0.0), s.visible)
+    return [name for name, q in seen.items() if q < UNSEEN]

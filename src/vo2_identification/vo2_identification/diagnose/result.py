@@ -1,0 +1,182 @@
+"""What a diagnosis says: the records behind `diagnosis.json` (schema vo2-diagnosis/1), and its check."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+__all__ = [
+    "SCHEMA",
+    "Candidate",
+    "ChannelFit",
+    "Diagnosis",
+    "Estimate",
+    "Location",
+    "NamedEffect",
+    "NextExperiment",
+    "validate",
+]
+
+SCHEMA = "vo2-diagnosis/1"
+
+
+@dataclass(frozen=True)
+class Location:
+    """Where excess residual energy sits: one entry per channel that has any."""
+
+    signal: str
+    share: float
+    time_s: list[list[float]]
+    branch: Literal["heating", "cooling", "both"]
+    temperature_degC: list[float] | None
+    temperature_surrogate_a: list[float]
+    frequency_hz: list[float]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter with its standard deviation."""
+
+    value: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """One thing the simulation left out, or "unknown"."""
+
+    id: str
+    probability: float
+    statement: str
+    equation: str
+    parameters: dict[str, Estimate]
+    signal: str | None = None
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that was considered, with its fit to parts of the recording it was not fitted on."""
+
+    id: str
+    probability: float
+    held_out_nrmse: dict[str, float]
+    signal: str | None = None
+    explained_share: float = 0.0
+    why_not: str = ""
+
+
+@dataclass(frozen=True)
+class ChannelFit:
+    """Root mean square error over range, on held-out parts."""
+
+    nrmse_before: float
+    nrmse_after: float
+    noise_floor: float
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """What to record next, and what it would separate."""
+
+    why: str
+    separates: list[str]
+    kind: Literal["excitation", "manual"]
+    excitation: dict[str, Any] | None
+    instruction: str
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Everything `diagnosis.json` holds; `checks`, `limits` and `timing` go beyond the schema."""
+
+    verdict: Literal["agrees", "differs"]
+    location: list[Location]
+    effects: list[NamedEffect]
+    candidates: list[Candidate]
+    fit: dict[str, ChannelFit]
+    indistinguishable: list[list[str]]
+    next_experiment: NextExperiment | None
+    summary: str = ""
+    limits: list[str] = field(default_factory=list)
+    not_excited: list[str] = field(default_factory=list)
+    excess: dict[str, float] = field(default_factory=dict)
+    seconds: float = 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON types; `signal` is left out where an effect has none."""
+        plain = {"schema": SCHEMA, **asdict(self)}
+        for key in ("effects", "candidates"):
+            plain[key] = [
+                {k: v for k, v in entry.items() if not (k == "signal" and v is None)} for entry in plain[key]
+            ]
+        return plain
+
+    def save(self, path: str | Path) -> None:
+        """Write `diagnosis.json`.
+
+        Raises
+        ------
+        ValueError : the content breaks the schema; nothing is written.
+        """
+        plain = self.to_dict()
+        validate(plain)
+        Path(path).write_text(json.dumps(plain, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def validate(plain: Mapping[str, Any]) -> None:
+    """Check a diagnosis read from JSON against the schema vo2-diagnosis/1.
+
+    Raises
+    ------
+    ValueError : naming the first key that is missing or out of range.
+    """
+
+    def need(condition: bool, what: str) -> None:
+        if not condition:
+            raise ValueError(f"diagnosis: {what}")
+
+    need(plain.get("schema") == SCHEMA, f"schema: found {plain.get('schema')!r}, need {SCHEMA!r}")
+    for key in (
+        "verdict", "location", "effects", "candidates", "fit", "indistinguishable", "next_experiment",
+    ):  # fmt: skip
+        need(key in plain, f"{key}: missing")
+    need(plain["verdict"] in ("agrees", "differs"), f"verdict: found {plain['verdict']!r}")
+    need(plain["verdict"] == "differs" or not plain["effects"], "effects: found some, need none that agree")
+    for entry in plain["location"]:
+        need(0 <= entry["share"] <= 1 + 1e-9, f"location share: found {entry['share']}, need 0 to 1")
+        need(entry["branch"] in ("heating", "cooling", "both"), f"branch: found {entry['branch']!r}")
+        for key in ("temperature_surrogate_a", "frequency_hz"):
+            need(len(entry[key]) == 2 and entry[key][0] <= entry[key][1], f"{key}: need [low, high]")
+        need(all(a <= b for a, b in entry["time_s"]), "time_s: need [start, end] pairs")
+    total = sum(entry["share"] for entry in plain["location"])
+    need(total <= 1 + 1e-6, f"location shares: they sum to {total:g}, need at most 1")
+    need(
+        sum(entry["probability"] for entry in plain["candidates"])
+        <= max(1, len(plain["effects"])) * (1 + 1e-6),
+        "candidates: probabilities sum to more than the number of effects",
+    )
+    for entry in (*plain["effects"], *plain["candidates"]):
+        need(isinstance(entry["id"], str) and bool(entry["id"]), "id: need a text")
+        need(0 <= entry["probability"] <= 1, f"probability: found {entry['probability']}")
+    for entry in plain["effects"]:
+        need(bool(entry["statement"]) and bool(entry["equation"]), f"{entry['id']}: need words and equation")
+        for name, estimate in entry["parameters"].items():
+            need(
+                math.isfinite(estimate["value"]) and estimate["std"] >= 0 and "unit" in estimate,
+                f"{entry['id']}.{name}: need finite value, std >= 0 and unit",
+            )
+    for channel, values in plain["fit"].items():
+        for key in ("nrmse_before", "nrmse_after", "noise_floor"):
+            need(math.isfinite(values[key]) and values[key] >= 0, f"fit {channel} {key}: need >= 0")
+    nxt = plain["next_experiment"]
+    if nxt is not None:
+        need(nxt["kind"] in ("excitation", "manual"), f"next_experiment kind: found {nxt['kind']!r}")
+        need(len(nxt["separates"]) == 2, "next_experiment separates: need two ids")
+        need(
+            (nxt["excitation"] is not None) == (nxt["kind"] == "excitation"), "excitation: only with its kind"
+        )

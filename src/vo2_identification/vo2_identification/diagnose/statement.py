@@ -1,0 +1,250 @@
+"""Put a study into words and into the records of the file format."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vo2_identification.diagnose.check import limits_in_words
+from vo2_identification.diagnose.decide import probabilities
+from vo2_identification.diagnose.explain import Explanation
+from vo2_identification.diagnose.locate import locate
+from vo2_identification.diagnose.nominal import JUDGED_UNIT
+from vo2_identification.diagnose.result import (
+    Candidate,
+    ChannelFit,
+    Diagnosis,
+    Estimate,
+    NamedEffect,
+)
+
+if TYPE_CHECKING:
+    from vo2_identification.diagnose.pipeline import Study
+
+__all__ = ["assemble"]
+
+
+def assemble(study: Study) -> Diagnosis:
+    """Return the diagnosis that a study supports."""
+    fit = _fit(study)
+    if not study.differs:
+        return Diagnosis(
+            verdict="agrees",
+            location=[],
+            effects=[],
+            candidates=[],
+            fit=fit,
+            indistinguishable=[],
+            next_experiment=None,
+            summary=_agrees_summary(study),
+            limits=limits_in_words(study.findings),
+            excess=_excess(study),
+            seconds=study.seconds,
+        )
+    candidates, probability = _candidates(study)
+    effects = _named(study, probability)
+    pairs = _rival_pairs(study)
+    return Diagnosis(
+        verdict="differs",
+        location=locate(study.final, study.breakdown),
+        effects=effects,
+        candidates=candidates,
+        fit=fit,
+        indistinguishable=pairs,
+        next_experiment=None,
+        summary=_summary(study, effects, pairs),
+        limits=limits_in_words(study.findings),
+        not_excited=list(study.not_excited),
+        excess=_excess(study),
+        seconds=study.seconds,
+    )
+
+
+def _excess(study: Study) -> dict[str, float]:
+    return {**{c: float(v) for c, v in study.excess.items()}, "total": float(study.total_excess)}
+
+
+def _fit(study: Study) -> dict[str, ChannelFit]:
+    if study.judged is None:
+        return {}
+    span = study.nominal.span
+    after = dict(study.judged.after)
+    if study.outside is not None and study.chosen is None:
+        for row, _, _ in study.evidence.iterate():
+            noise = study.evidence.nominal.noise[row.channel]
+            weight = study.evidence.weight[row.where]
+            use = weight > 0
+            left = (
+                study.evidence.left(study.evidence.residual)[row.where] - study.outside.prediction[row.where]
+            )
+            plain = noise.color(left / np.where(use, weight, 1.0))
+            after[row.channel] = float(np.sqrt(np.mean(plain[use] ** 2)))
+    return {
+        c: ChannelFit(study.judged.before[c] / span[c], after[c] / span[c], study.judged.floor[c] / span[c])
+        for c in study.judged.before
+    }
+
+
+def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
+    """Candidates with probabilities, and the probability of each key."""
+    count = study.evidence.count
+    everyone = list(study.rivals)
+    if study.chosen is not None:
+        everyone = [study.chosen, *(r for r in everyone if set(r.keys) != set(study.chosen.keys))]
+    if not everyone:
+        return [], {}
+    # about the best explanation q is lower than about the nominal simulation: compare like with like
+    chi = [e.chi_square for e in everyone]
+    if study.chosen is not None:
+        same = [r for r in study.rivals if set(r.keys) == set(study.chosen.keys)]
+        if same:
+            chi[0] = min(chi[0], same[0].chi_square) if len(study.chosen.keys) > 1 else same[0].chi_square
+    temper = study.thresholds.temper * (1.0 + max(study.remaining_excess, 0.0))
+    weights = probabilities(chi, [len(e.coordinates) for e in everyone], count=count, temper=temper)
+    certain = 1.0 if study.outside is None else 0.5 * _explained_share(study)
+    by_key: dict[str, float] = {}
+    best: dict[str, Explanation] = {}
+    for weight, explanation in zip(weights, everyone, strict=True):
+        for key in explanation.keys:
+            by_key[key] = by_key.get(key, 0.0) + float(weight) * certain
+            best.setdefault(key, explanation)
+    size = {c: study.nominal.span[c] for c in study.excess}
+    floor = study.judged.floor if study.judged else {}
+    found = []
+    for key, probability in sorted(by_key.items(), key=lambda item: -item[1]):
+        explanation = best[key]
+        name, _, signal = key.partition(":")
+        gained = explanation.gain / max(count * study.total_excess, 1e-9)
+        own = key in study.chosen.keys if study.chosen else False
+        nrmse = {}
+        for c in study.excess:
+            if own and study.judged is not None:
+                nrmse[c] = study.judged.after[c] / size[c]
+            else:
+                rest = max(1.0 + study.excess[c] * (1.0 - min(max(gained, 0.0), 1.0)), 1.0)
+                nrmse[c] = floor.get(c, 0.0) * float(np.sqrt(rest)) / size[c]
+        found.append(
+            Candidate(
+                name,
+                min(probability, 1.0),
+                nrmse,
+                signal or None,
+                explained_share=float(np.clip(gained, -1.0, 1.0)),
+                why_not="" if own else _why_not(study, explanation),
+            )
+        )
+    return found[:12], by_key
+
+
+def _explained_share(study: Study) -> float:
+    best = max((e.gain for e in study.singles), default=0.0)
+    return float(np.clip(best / max(study.evidence.count * study.total_excess, 1e-9), 0.0, 1.0))
+
+
+def _why_not(study: Study, explanation: Explanation) -> str:
+    gained = explanation.gain / max(study.evidence.count * study.total_excess, 1e-9)
+    if study.chosen is None:
+        return f"explains {100 * gained:.0f} % of the excess, which is not enough to name it"
+    gap = explanation.chi_square - study.chosen.chi_square
+    if explanation.at_bound:
+        return f"its fit ends at a physical bound ({', '.join(explanation.at_bound)})"
+    return f"explains {100 * gained:.0f} % of the excess; worse than the answer by {np.sqrt(max(gap, 0.0)):.0f} sigma"
+
+
+def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
+    found = []
+    if study.chosen is not None:
+        for index, hypothesis in enumerate(study.chosen.hypotheses):
+            record = hypothesis.record
+            parameters = {}
+            for name, value in study.chosen.values[index].items():
+                unit = hypothesis.parameter(name).unit
+                if unit == "channel unit":
+                    unit = {"log10 ohm": "ohm"}.get(
+                        JUDGED_UNIT[hypothesis.signal], JUDGED_UNIT[hypothesis.signal]
+                    )
+                parameters[name] = Estimate(float(value), study.chosen.std(index, name), unit)
+            found.append(
+                NamedEffect(
+                    record.id,
+                    float(np.clip(probability.get(hypothesis.key, 1.0), 0.0, 1.0)),
+                    record.statement,
+                    record.equation,
+                    parameters,
+                    hypothesis.signal or None,
+                )
+            )
+        found.sort(key=lambda e: -e.probability)
+    if study.outside is not None or not found:
+        found.append(_unknown(study))
+    return found
+
+
+def _unknown(study: Study) -> NamedEffect:
+    outside = study.outside
+    shapes = outside.shapes if outside is not None else ()
+    if shapes:
+        words = "; ".join(
+            f"{s.channel} depends on {s.words} ({100 * s.share:.0f} % of its excess)" for s in shapes[:4]
+        )
+        statement = (
+            "Nothing of the catalogue explains the excess. A correction without a name removes "
+            f"{100 * outside.share:.0f} % of it on blocks it was not fitted on: {words}."  # type: ignore[union-attr]
+        )
+        equation = " + ".join(f"f({s.group}) in {s.channel}" for s in shapes[:4])
+    else:
+        statement = (
+            "The residual exceeds the noise, but neither an effect of the catalogue nor a smooth function of "
+            "time, temperature, rate, current or memory describes it on blocks it was not fitted on."
+        )
+        equation = "none found"
+    named = sum(1.0 for _ in (study.chosen.hypotheses if study.chosen else ()))
+    probability = 1.0 if not named else 0.5
+    if study.chosen is None:
+        probability = 1.0 - 0.5 * _explained_share(study)
+    return NamedEffect("unknown", float(probability), statement, equation, {})
+
+
+def _rival_pairs(study: Study) -> list[list[str]]:
+    """Effects that fit as well as a named one, within what the data can tell."""
+    if study.chosen is None:
+        return []
+    chosen = study.chosen
+    reference = next((r for r in study.rivals if set(r.keys) == set(chosen.keys)), chosen)
+    pairs = []
+    limit = study.thresholds.rival * (1.0 + max(study.remaining_excess, 0.0))
+    for rival in study.rivals:
+        if set(rival.keys) == set(chosen.keys) or len(rival.keys) != len(chosen.keys):
+            continue
+        if rival.chi_square - reference.chi_square > limit or rival.at_bound:
+            continue
+        ours = [k for k in chosen.keys if k not in rival.keys]
+        theirs = [k for k in rival.keys if k not in chosen.keys]
+        if len(ours) == 1 and len(theirs) == 1:
+            pair = [ours[0].split(":")[0], theirs[0].split(":")[0]]
+            if pair not in pairs and pair[0] != pair[1]:
+                pairs.append(pair)
+    return pairs
+
+
+def _agrees_summary(study: Study) -> str:
+    power = 100 * max(study.total_excess, 0.0)
+    return (
+        f"Simulation and recording agree: the residual exceeds the noise by {power:.0f} % of its power, "
+        "no more than an unchanged device shows."
+    )
+
+
+def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -> str:
+    where = max(study.excess, key=lambda c: study.excess[c])
+    head = f"Simulation and recording differ, most in {where} ({1 + study.excess[where]:.3g} times the noise power)."
+    names = [e.id + (f" on {e.signal}" if e.signal else "") for e in effects if e.id != "unknown"]
+    if not names:
+        share = study.outside.share if study.outside else 0.0
+        return f"{head} Nothing known explains it; a correction without a name removes {100 * share:.0f} % of the excess."
+    share = 1.0 - max(study.remaining_excess, 0.0) / max(study.total_excess, 1e-9)
+    text = f"{head} Left out: {' and '.join(names)}, which explains {100 * share:.0f} % of the excess."
+    if pairs:
+        text += " Not separable with this excitation: " + ", ".join(" / ".join(p) for p in pairs) + "."
+    return text
