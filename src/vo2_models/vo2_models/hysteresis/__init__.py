@@ -36,6 +36,7 @@ _HOME = {
     "RobustInverse": "inverse_robust",
     "compress": "compression_gpi",
     "partition": "compression_gpi",
+    "identify_play_weights": "compressive_sensing_gpi",
     "PlayFit": "fitting_gpi",
     "fit_play_model": "fitting_gpi",
 }
