@@ -1,0 +1,80 @@
+"""The reproduction's framework: rules, files, refusals; and that its sections are what they claim to be."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from vo2_identification.reproduce import main
+from vo2_identification.reproduce.claims import Claim, Section, at_least, at_most, within
+from vo2_identification.reproduce.command import section_modules
+from vo2_identification.reproduce.page import page
+from vo2_identification.reproduce.peltier import NOISE_A, current_noise, reference
+
+KEYS = {"id", "section", "claim", "published", "ours", "unit", "met"}
+
+
+@pytest.mark.parametrize(
+    ("rule", "met", "not_met"),
+    [(within(2.0, 0.1), 2.19, 2.21), (at_most(1.0), 1.0, 1.01), (at_least(1.0), 1.0, 0.99)],
+)
+def test_rules(rule, met, not_met):
+    assert Claim("a", "8", "x", 2.0, met, "1", rule).met
+    assert not Claim("a", "8", "x", 2.0, not_met, "1", rule).met
+    assert not Claim("a", "8", "x", 2.0, math.nan, "1", rule).met
+
+
+def test_record_has_the_agreed_keys_and_plain_values():
+    record = Claim("a", "8", "x", None, np.float64(1.0), "1", at_most(2.0)).record()
+    assert set(record) >= KEYS
+    assert json.loads(json.dumps(record))["met"] is True
+    assert Claim("a", "8", "x", None, math.inf, "1", at_most(2.0)).record()["ours"] is None
+
+
+def test_page_escapes_and_says_what_is_not_met():
+    claims = (Claim("a", "8", "<script>", 1.0, 3.0, "1", at_most(2.0)),)
+    text = page([Section("8", "T", claims)], command="x", seconds=1.0)
+    assert (
+        "&lt;script&gt;" in text
+        and "<script>" not in text
+        and "not met" in text
+        and "0 of 1 claims met" in text
+    )
+
+
+def test_one_section_end_to_end(tmp_path, capsys):
+    assert main(["--only", "8.3", "--output", str(tmp_path)]) == 0
+    records = json.loads((tmp_path / "reproduction.json").read_text())
+    assert records and all(set(r) >= KEYS and r["section"].startswith("8.3") for r in records)
+    assert {r["id"]: r["met"] for r in records}["8.3.gamma"]
+    text = (tmp_path / "reproduction.html").read_text()
+    assert text.count("<svg") == 2 and "--only 8.3" in text
+    assert "claims met" in capsys.readouterr().out
+
+
+def test_bad_arguments_end_with_one_line(tmp_path, capsys):
+    assert main(["--only", "99", "--output", str(tmp_path)]) == 2
+    assert "need one of" in capsys.readouterr().err
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    assert main(["--only", "8.3", "--output", str(blocked / "x")]) == 2
+    assert "writable" in capsys.readouterr().err
+    assert main(["--draws", "0"]) == 2
+
+
+def test_sections_are_complete_and_unique():
+    modules = section_modules()
+    numbers = [m.NUMBER for m in modules]
+    assert len(set(numbers)) == len(numbers) and all(m.TITLE and callable(m.run) for m in modules)
+
+
+def test_references_and_noise_are_those_of_the_experiments():
+    steps, settle = reference("steps")
+    assert sorted(set(np.round(1e6 * steps[settle:]))) == [20, 35, 50] and steps.size - settle == 360
+    multi, settle = reference("multi")
+    assert multi.size - settle == 8000 and multi[settle] == pytest.approx(35e-6)
+    assert 1e6 * np.abs(multi[settle:] - 35e-6).max() <= 20
+    noise = current_noise(8000, 1)
+    assert 0.4 * NOISE_A < noise.std() < 0.7 * NOISE_A
+    power = np.abs(np.fft.rfft(noise)) ** 2
+    assert power[3600:].mean() < 0.1 * power[:2800].mean()  # band-limited

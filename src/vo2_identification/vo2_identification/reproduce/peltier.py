@@ -1,0 +1,147 @@
+"""The experiments of section 8.4 on the simulated Peltier device: references, noise, calibration, figures of merit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
+from vo2_control.closed_loop import LoopResult, run_loop
+from vo2_control.controller import CurrentLimits, LinearController
+from vo2_models.device.presets import preset
+from vo2_models.device.simulation import Simulation
+from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
+from vo2_models.self_sensing.polynomial import PolynomialSelfSensing
+from vo2_models.self_sensing.scheme import SelfSensing
+
+__all__ = [
+    "EXPERIMENTS",
+    "LIMITS",
+    "PERIOD_S",
+    "Calibration",
+    "Merit",
+    "calibrate",
+    "current_noise",
+    "experiment",
+    "merit",
+    "reference",
+]
+
+Floats = NDArray[np.float64]
+
+PERIOD_S = preset("peltier").sample_period
+LIMITS = CurrentLimits(*preset("peltier").current_range)
+EXPERIMENTS = ("steps", "multi", "noise")
+"""8.4.1, 8.4.2, 8.4.3."""
+SETTLE_S = 100.0
+"""Each loop first regulates to where the experiment starts: steps one step below the first one."""
+NOISE_A = 0.01
+DEGREE = 9
+"""Of the polynomial in section 8.2."""
+
+
+def reference(kind: str) -> tuple[Floats, int]:
+    """Return the reference (n,) [m] with its settling part in front, and the number of samples of that part."""
+    if kind == "steps":
+        wanted = 1e-6 * np.repeat([20.0, 35.0, 50.0], round(15 / PERIOD_S))
+        start = 5e-6
+    else:
+        t = np.arange(round(1000 / PERIOD_S)) * PERIOD_S
+        parts = ((8.0, 0.001), (7.0, 0.005), (5.0, 0.01))
+        wanted = 1e-6 * (35.0 + sum(size * np.sin(2 * np.pi * hertz * t) for size, hertz in parts))
+        start = float(wanted[0])
+    settle = round(SETTLE_S / PERIOD_S)
+    return np.concatenate([np.full(settle, start), wanted]), settle
+
+
+def current_noise(count: int, seed: int) -> Floats:
+    """Uniform white current noise of +-0.01 A, band-limited to 80 % of Nyquist: at 8 Hz the printed 8 Hz cannot be."""
+    white = np.random.default_rng([seed, 843]).uniform(-NOISE_A, NOISE_A, count)
+    return np.asarray(sosfiltfilt(butter(4, 0.8, output="sos"), white))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What section 8.2 does before any control: the major loop, a polynomial through both branches.
+
+    Attributes
+    ----------
+    current_a, resistance_ohm, deflection_m : (n,) quasi-static major loop, measured with noise
+    sensing : polynomial of degree 9
+    operating_a : current that holds the middle of the references, 35 um, mean of both branches [A]
+    """
+
+    current_a: Floats
+    resistance_ohm: Floats
+    deflection_m: Floats
+    sensing: PolynomialSelfSensing
+    operating_a: float
+
+
+def calibrate(device: Simulation, seed: int, *, levels: int = 150) -> Calibration:
+    """Sweep the operating range up and down, each level held for ten time constants."""
+    nominal = preset("peltier")
+    way = np.linspace(*nominal.operating_range, levels)
+    current = np.concatenate([way, way[::-1]])
+    sweep = device.simulate(current, dt=10 * nominal.time_constant, seed=seed)
+    resistance, deflection = sweep[RESISTANCE], sweep[TIP_DEFLECTION]
+    halves = (slice(0, levels), slice(levels, 2 * levels))
+    middle = [current[half][np.argmin(np.abs(deflection[half] - 35e-6))] for half in halves]
+    sensing = PolynomialSelfSensing.fit(resistance, deflection, DEGREE)
+    return Calibration(current, resistance, deflection, sensing, float(np.mean(middle)))
+
+
+def experiment(
+    kind: str,
+    device: Simulation,
+    sensing: SelfSensing | None,
+    controller: LinearController,
+    seed: int,
+    *,
+    feedforward_a: Floats | None = None,
+) -> LoopResult:
+    """Run one experiment; the settling part is cut off."""
+    wanted, settle = reference(kind)
+    disturbance = current_noise(wanted.size, seed) if kind == "noise" else None
+    result = run_loop(
+        device, sensing, controller, wanted, disturbance_a=disturbance, feedforward_a=feedforward_a, seed=seed
+    )
+    return result.after(settle)
+
+
+@dataclass(frozen=True)
+class Merit:
+    """Figures of merit after the first 5 % of an experiment.
+
+    Attributes
+    ----------
+    rmse_um, largest_um : of the true deflection
+    steady_um : mean over the setpoints of |mean error over the last 3 s|; NaN for the multi-sine
+    effort_ma : standard deviation of the controller's current
+    sensing_um : root mean square of estimate minus truth
+    """
+
+    rmse_um: float
+    largest_um: float
+    steady_um: float
+    effort_ma: float
+    sensing_um: float
+
+
+def merit(kind: str, result: LoopResult) -> Merit:
+    """Return the figures of merit of an experiment."""
+    first = result.time_s.size // 20
+    error = 1e6 * result.error_m
+    steady = np.nan
+    if kind == "steps":
+        last = round(3 / PERIOD_S)
+        steady = float(np.mean(np.abs(error.reshape(3, -1)[:, -last:].mean(axis=1))))
+    sensing = 1e6 * (result.estimate_m - result.deflection_m)[first:]
+    return Merit(
+        float(np.sqrt(np.mean(error[first:] ** 2))),
+        float(np.abs(error[first:]).max()),
+        steady,
+        float(1e3 * result.current_a[first:].std()),
+        float(np.sqrt(np.mean(sensing**2))),
+    )
