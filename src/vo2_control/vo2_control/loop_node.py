@@ -27,7 +27,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the composed nodes until SIGINT or SIGTERM."""
     line = list(sys.argv if args is None else args)
     options = remove_ros_args(line)[1:]
-    unknown = [option for option in options if option not in _OPTIONS]
+    unknown = [option for option in options if option not in (*_OPTIONS, "-h", "--help")]
     if unknown:
         print(
             f"loop: found {' '.join(unknown)}, need some of {', '.join(_OPTIONS)} or --ros-args",
@@ -39,7 +39,7 @@ def main(args: Sequence[str] | None = None) -> int:
         nodes.append(ReferenceNode)
     if "--without-plant" not in options:
         nodes.append(PlantNode)
-    return run_nodes(*nodes, args=line)
+    return run_nodes(*nodes, args=[argument for argument in line if argument not in _OPTIONS])
 
 
 if __name__ == "__main__":

@@ -99,7 +99,7 @@ class Conductor:
         """Set parameters of a node (full name), all or none."""
         request = SetParametersAtomically.Request()
         request.parameters = [parameter.to_parameter_msg() for parameter in ros_parameters(values)]
-        result = self._call(
+        result = self.call(
             f"{node}/set_parameters_atomically", SetParametersAtomically, request, timeout_s
         ).result
         if not result.successful:
@@ -107,7 +107,7 @@ class Conductor:
 
     def trigger(self, service: str, timeout_s: float = 20.0) -> str:
         """Call a Trigger service (full name); return its message."""
-        response = self._call(service, Trigger, Trigger.Request(), timeout_s)
+        response = self.call(service, Trigger, Trigger.Request(), timeout_s)
         if not response.success:
             raise GraphError(f"{service}: {response.message}")
         return str(response.message)
@@ -116,7 +116,8 @@ class Conductor:
         """Return a value of a diagnostic status (full name, as `vo2/plant: time`), empty if not heard."""
         return self.statuses[status][2].get(key, "") if status in self.statuses else ""
 
-    def _call(self, name: str, kind: type, request: Any, timeout_s: float) -> Any:
+    def call(self, name: str, kind: type, request: Any, timeout_s: float = 20.0) -> Any:
+        """Call a service (full name) and return its answer."""
         client = self._client(name, kind)
         self.wait_for(f"the service {name}", client.service_is_ready, timeout_s)
         future: Future = client.call_async(request)

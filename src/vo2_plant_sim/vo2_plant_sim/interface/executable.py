@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -11,10 +12,15 @@ import rclpy
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 __all__ = ["RigNode", "StopFlag", "fastest_executor", "run_nodes"]
 
 _SPIN_S = 0.05
+_USAGE = (
+    "nodes take ROS arguments only: --ros-args -p NAME:=VALUE, --params-file FILE, -r __ns:=/NAMESPACE; "
+    "`ros2 param describe` tells what each parameter is"
+)
 
 
 class StopFlag:
@@ -57,8 +63,17 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
 
     A parameter or argument that cannot be used ends with one line on standard error and status 2.
     """
-    stop = StopFlag()
     program = sys.argv[0].rsplit("/", 1)[-1]
+    extra = remove_ros_args(list(sys.argv if args is None else args))[1:]
+    if extra:
+        texts = [inspect.getdoc(inspect.getmodule(make)) or "" for make in make_nodes]
+        asked = set(extra) <= {"-h", "--help"}
+        print(
+            "\n\n".join([*texts, _USAGE]) if asked else f"{program}: found {' '.join(extra)}; {_USAGE}",
+            file=sys.stderr,
+        )
+        return 0 if asked else 2
+    stop = StopFlag()
     nodes: list[Node] = []
     try:
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)

@@ -1,0 +1,130 @@
+"""The controller as a node: answers in lockstep, safe current on lost input, bumpless return, redesign."""
+
+import math
+
+import pytest
+from std_srvs.srv import Trigger
+from vo2_control.controller_node import ControllerNode
+from vo2_control.reference_node import ReferenceNode
+from vo2_plant_sim.interface.model import operating_point
+from vo2_plant_sim.testing import bench
+
+MS = 1_000_000
+UM = 1e-6
+POINT = operating_point("integrated")
+
+
+def controller(*parameters):
+    arguments = ["--ros-args"]
+    for parameter in parameters:
+        arguments += ["-p", parameter]
+    return bench(arguments)
+
+
+def estimate(deflection, surrogate=0.006):
+    return {"tip_deflection": deflection, "temperature_surrogate": surrogate, "tip_deflection_bound": 1e-6}
+
+
+def command_of(rig, k, deflection, reference=30 * UM):
+    """Say estimate and reference of sample k and return the command that answers."""
+    rig.say("/vo2/estimate", k * MS, estimate(deflection))
+    rig.say("/vo2/reference", k * MS, {"tip_deflection": reference})
+    rig.until(lambda: any(stamp == k * MS for stamp, _ in rig.heard["/vo2/command"]))
+    return next(values[0] for stamp, values in rig.heard["/vo2/command"] if stamp == k * MS)
+
+
+def test_a_command_waits_for_the_reference_of_its_stamp():
+    with controller() as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        rig.add(ControllerNode)
+        rig.say("/vo2/reference", 0, {"tip_deflection": 30 * UM})
+        rig.say("/vo2/estimate", MS, estimate(20 * UM))
+        rig.spin(0.3)
+        assert rig.heard["/vo2/command"] == []
+        rig.say("/vo2/reference", MS, {"tip_deflection": 30 * UM})
+        rig.until(lambda: [stamp for stamp, _ in rig.heard["/vo2/command"]] == [MS])
+
+
+def test_it_starts_without_a_bump_from_the_current_that_holds_the_temperature():
+    with controller() as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        rig.add(ControllerNode)
+        assert command_of(rig, 1, 30 * UM, 30 * UM) == pytest.approx(0.006, abs=1e-6)
+
+
+def test_lost_input_holds_three_samples_then_safe_current_then_a_return_without_a_bump():
+    with controller() as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        rig.add(ControllerNode)
+        last = [command_of(rig, k, 29 * UM) for k in range(1, 4)][-1]
+        held = [command_of(rig, k, math.nan) for k in range(4, 9)]
+        assert held == [last, last, last, 0.0, 0.0]
+        text = rig.status("controller: input")[0]
+        rig.until(
+            lambda: rig.status("controller: input")[0].startswith(
+                "safe current 0 A: tip_deflection on estimate"
+            )
+        )
+        back = command_of(rig, 9, 30 * UM)
+        # as near to the safe current as the operating range allows
+        assert back == pytest.approx(POINT.lower_a, abs=1e-6), text
+        rig.until(lambda: "closed" in rig.status("controller: input")[0])
+
+
+def test_wall_time_an_estimator_that_stops_leads_to_the_safe_current():
+    with controller("time:=wall", "rate_hz:=20.0") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        rig.add(ControllerNode)
+        first = command_of(rig, 1, 29 * UM)
+        rig.until(lambda: rig.heard["/vo2/command"][-1][1][0] == 0.0)
+        values = [value[0] for _, value in rig.heard["/vo2/command"]]
+        assert 3 <= values.count(first) <= 5
+        rig.until(lambda: "nothing on estimate" in rig.status("controller: input")[0])
+
+
+def test_a_set_point_by_hand_holds_until_the_next():
+    with controller("reference_hold:=true") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        rig.add(ControllerNode)
+        rig.say("/vo2/reference", 0, {"tip_deflection": 30 * UM})
+        rig.spin(0.2)
+        for k in (1, 2, 3):
+            rig.say("/vo2/estimate", k * MS, estimate(25 * UM))
+        rig.until(lambda: len(rig.heard["/vo2/command"]) == 3)
+
+
+def test_redesign_takes_over_gains_and_refuses_what_makes_no_controller():
+    with controller() as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        node = rig.add(ControllerNode)
+        client = rig.node.create_client(Trigger, "/vo2/controller/redesign")
+        rig.until(client.service_is_ready)
+
+        def redesign():
+            future = client.call_async(Trigger.Request())
+            rig.until(future.done)
+            return future.result()
+
+        node._table.set({"pid.kp": 2.0, "pid.ki": 100.0})
+        assert redesign().success
+        node._table.set({"limits.lower_a": 0.008, "limits.upper_a": 0.004})
+        answer = redesign()
+        assert not answer.success
+        assert "limits: found lower 0.008 A" in answer.message
+
+
+def test_reference_follows_measurement_stamps_and_starts_again_when_set_anew():
+    with controller() as rig:
+        rig.hear("/vo2/reference", ("tip_deflection",))
+        node = rig.add(ReferenceNode)
+        for k in (0, 999, 1000):
+            rig.say("/vo2/measurement", 5_000 * MS + k * MS, {"heater_current": 0.0})
+        rig.until(lambda: len(rig.heard["/vo2/reference"]) == 3)
+        assert [round(values[0] / UM) for _, values in rig.heard["/vo2/reference"]] == [20, 20, 35]
+        node._table.set({"signal": "sine"})
+        rig.say("/vo2/measurement", 6_001 * MS, {"heater_current": 0.0})
+        rig.say("/vo2/measurement", 8_501 * MS, {"heater_current": 0.0})
+        rig.until(lambda: len(rig.heard["/vo2/reference"]) == 5)
+        assert [values[0] / UM for _, values in rig.heard["/vo2/reference"][3:]] == pytest.approx(
+            [30.0, 45.0]
+        )

@@ -1,0 +1,100 @@
+"""The estimator as a node: the library's numbers, and one clear message for each kind of bad input."""
+
+import math
+
+import numpy as np
+import pytest
+from vo2_estimation.estimator_node import EstimatorNode
+from vo2_models.self_sensing import PolynomialSelfSensing, self_sensing
+from vo2_plant_sim.interface.parameters import ros_parameters
+from vo2_plant_sim.testing import bench
+
+CHANNELS = ("tip_deflection", "temperature_surrogate", "tip_deflection_bound")
+MS = 1_000_000
+MODEL = {
+    "model.device": "integrated",
+    **PolynomialSelfSensing.fit(
+        np.geomspace(1e4, 2e5, 40), np.linspace(5e-5, 2e-6, 40), degree=3
+    ).to_parameters(),
+}
+
+
+def with_model(node, model=MODEL):
+    result = node.set_parameters_atomically(ros_parameters(model))
+    assert result.successful, result.reason
+
+
+def polynomial():
+    return bench(["--ros-args", "-p", "kind:=polynomial"])
+
+
+def answer(rig, stamp_ns, values):
+    """Say one sample and return the estimate of its stamp."""
+    rig.say("/vo2/measurement", stamp_ns, values)
+    rig.until(lambda: any(stamp == stamp_ns for stamp, _ in rig.heard["/vo2/estimate"]))
+    return [values for stamp, values in rig.heard["/vo2/estimate"] if stamp == stamp_ns][-1]
+
+
+def test_estimates_are_those_of_the_library():
+    scheme = self_sensing("polynomial", MODEL)
+    with polynomial() as rig:
+        rig.hear("/vo2/estimate", CHANNELS)
+        with_model(rig.add(EstimatorNode))
+        for k, resistance in enumerate([2e5, 9e4, 1.2e4]):
+            found = answer(rig, k * MS, {"film_resistance": resistance, "heater_current": 0.005})
+            assert found[0] == scheme.update(resistance, scheme.initial_state()).deflection
+
+
+def test_without_model_every_estimate_is_nan_and_the_remedy_is_told_once():
+    with polynomial() as rig:
+        rig.hear("/vo2/estimate", CHANNELS)
+        node = rig.add(EstimatorNode)
+        assert all(math.isnan(value) for value in answer(rig, MS, {"film_resistance": 1e5}))
+        node._diagnostics.beat()
+        rig.until(lambda: "no model yet" in rig.status("estimator: model")[0])
+        assert "run the identifier" in rig.status("estimator: model")[0]
+        with_model(node)
+        assert math.isfinite(answer(rig, 2 * MS, {"film_resistance": 1e5})[0])
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 0.0, -5.0])
+def test_an_unusable_resistance_gives_nan_and_says_so_and_recovers(value):
+    with polynomial() as rig:
+        rig.hear("/vo2/estimate", CHANNELS)
+        with_model(rig.add(EstimatorNode))
+        assert math.isfinite(answer(rig, MS, {"film_resistance": 1e5})[0])
+        assert math.isnan(answer(rig, 2 * MS, {"film_resistance": value})[0])
+        rig.until(lambda: "film_resistance on measurement is" in rig.status("estimator: input")[0])
+        assert math.isfinite(answer(rig, 3 * MS, {"film_resistance": 1e5})[0])
+        rig.until(lambda: "is back" in rig.status("estimator: input")[0])
+
+
+def test_an_absent_channel_is_named_with_those_there_are():
+    with polynomial() as rig:
+        rig.hear("/vo2/estimate", CHANNELS)
+        with_model(rig.add(EstimatorNode))
+        assert math.isnan(answer(rig, MS, {"heater_current": 0.005, "tip_deflection": 1e-5})[0])
+        rig.until(
+            lambda: "absent (there are heater_current, tip_deflection)" in rig.status("estimator: input")[0]
+        )
+
+
+def test_a_repeated_stamp_is_answered_with_the_same_bytes_and_a_jump_back_is_told():
+    with polynomial() as rig:
+        rig.hear("/vo2/estimate", CHANNELS)
+        with_model(rig.add(EstimatorNode))
+        first = answer(rig, 5 * MS, {"film_resistance": 1e5})
+        rig.say("/vo2/measurement", 5 * MS, {"film_resistance": 2e4})
+        rig.until(lambda: len(rig.heard["/vo2/estimate"]) == 2)
+        stamp_ns, again = rig.heard["/vo2/estimate"][1]
+        assert (stamp_ns, again[0]) == (5 * MS, first[0])
+        answer(rig, 2 * MS, {"film_resistance": 1e5})
+        rig.until(lambda: "jumped back" in rig.status("estimator: stamps")[0])
+
+
+def test_a_model_that_lacks_what_the_scheme_needs_is_refused_with_the_reason():
+    with bench(["--ros-args", "-p", "kind:=composite"]) as rig:
+        rig.hear("/vo2/estimate", CHANNELS)
+        with_model(rig.add(EstimatorNode))
+        assert math.isnan(answer(rig, MS, {"film_resistance": 1e5})[0])
+        rig.until(lambda: "model.resistance: found no law" in rig.status("estimator: model")[0])

@@ -1,0 +1,105 @@
+"""The plant as a node: lockstep answers, repeats, standing still, wall time with the safe current."""
+
+import itertools
+
+import pytest
+from vo2_models.device import truth
+from vo2_plant_sim.plant_node import PlantNode
+from vo2_plant_sim.testing import bench
+
+CHANNELS = ("heater_current", "film_resistance", "tip_deflection")
+MS = 1_000_000
+S = 1_000_000_000
+
+
+def lockstep(*parameters):
+    arguments = ["--ros-args"]
+    for parameter in parameters:
+        arguments += ["-p", parameter]
+    return bench(arguments)
+
+
+def test_each_command_advances_one_sample_with_the_values_of_the_library():
+    currents = [0.004, 0.006, 0.008, 0.008, 0.005]
+    with lockstep("seed:=3") as rig:
+        rig.hear("/vo2/measurement", CHANNELS)
+        rig.add(PlantNode)
+        rig.until(lambda: rig.heard["/vo2/measurement"])
+        for k, current in enumerate(currents):
+            rig.say("/vo2/command", S + k * MS, {"heater_current": current})
+            rig.until(lambda k=k: rig.heard["/vo2/measurement"][-1][0] == S + (k + 1) * MS)
+        heard = dict(rig.heard["/vo2/measurement"])
+    stepper = truth("integrated", seed=3).stepper(seed=4)
+    for k, current in enumerate([0.0, *currents]):
+        assert heard[S + k * MS] == tuple(stepper.step(current))
+
+
+def test_an_unanswered_sample_is_repeated_and_an_old_or_second_answer_changes_nothing():
+    with lockstep() as rig:
+        rig.hear("/vo2/measurement", CHANNELS)
+        rig.add(PlantNode)
+        rig.until(lambda: len(rig.heard["/vo2/measurement"]) >= 3)
+        assert len(set(rig.heard["/vo2/measurement"])) == 1
+        rig.say("/vo2/command", S, {"heater_current": 0.005})
+        rig.say("/vo2/command", S, {"heater_current": 0.012})
+        rig.say("/vo2/command", S - MS, {"heater_current": 0.012})
+        rig.until(lambda: rig.heard["/vo2/measurement"][-1][0] == S + MS)
+        rig.spin(0.5)
+        assert rig.heard["/vo2/measurement"][-1][0] == S + MS
+        assert rig.heard["/vo2/measurement"][-1][1][0] == pytest.approx(0.005, abs=1e-4)
+        assert "two different commands" in rig.status("plant: command")[0]
+
+
+def test_simulated_time_stands_still_at_run_until_and_goes_on_when_it_is_raised():
+    with lockstep("run_until_s:=1.002") as rig:
+        rig.hear("/vo2/measurement", CHANNELS)
+        plant = rig.add(PlantNode)
+        answered: set[int] = set()
+
+        def answer_all(until_ns):
+            for stamp_ns, _ in list(rig.heard["/vo2/measurement"]):
+                if stamp_ns not in answered:
+                    answered.add(stamp_ns)
+                    rig.say("/vo2/command", stamp_ns, {"heater_current": 0.006})
+            return rig.heard["/vo2/measurement"] and rig.heard["/vo2/measurement"][-1][0] >= until_ns
+
+        rig.until(lambda: answer_all(S + 2 * MS))
+        rig.until(
+            lambda: answer_all(S + 2 * MS) and rig.status("plant: time")[1].get("stamp_s") == "1.002000000"
+        )
+        rig.spin(0.4)
+        assert rig.heard["/vo2/measurement"][-1][0] == S + 2 * MS
+        plant._table.set({"run_until_s": 0.0})
+        rig.until(lambda: answer_all(S + 6 * MS))
+
+
+def test_a_command_that_is_not_a_number_leads_to_the_safe_current():
+    with lockstep() as rig:
+        rig.hear("/vo2/measurement", CHANNELS)
+        rig.add(PlantNode)
+        rig.until(lambda: rig.heard["/vo2/measurement"])
+        rig.say("/vo2/command", S, {"heater_current": float("nan")})
+        rig.until(lambda: rig.heard["/vo2/measurement"][-1][0] == S + MS)
+        assert rig.heard["/vo2/measurement"][-1][1][0] == pytest.approx(0.0, abs=1e-4)
+        rig.until(lambda: "heater_current on command is nan" in rig.status("plant: command")[0])
+
+
+def test_wall_time_keeps_the_pace_and_takes_the_safe_current_after_three_periods_without_command():
+    with lockstep("time:=wall", "rate_hz:=20.0") as rig:
+        rig.hear("/vo2/measurement", CHANNELS)
+        rig.add(PlantNode)
+        rig.until(lambda: rig.heard["/vo2/measurement"])
+        for _ in range(4):
+            count = len(rig.heard["/vo2/measurement"])
+            rig.say("/vo2/command", rig.heard["/vo2/measurement"][-1][0], {"heater_current": 0.006})
+            rig.until(lambda count=count: len(rig.heard["/vo2/measurement"]) > count)
+        commanded = len(rig.heard["/vo2/measurement"])
+        rig.until(lambda: len(rig.heard["/vo2/measurement"]) >= commanded + 8)
+        currents = [values[0] for _, values in rig.heard["/vo2/measurement"][commanded:]]
+        assert currents[0] == pytest.approx(0.006, abs=2e-4)
+        assert currents[2] == pytest.approx(0.006, abs=2e-4)
+        assert currents[6] == pytest.approx(0.0, abs=1e-4)
+        stamps = [stamp for stamp, _ in rig.heard["/vo2/measurement"]]
+        steps = {after - before for before, after in itertools.pairwise(stamps)}
+        assert all(step % (50 * MS) == 0 for step in steps)
+        assert "safe current" in rig.status("plant: command")[0]

@@ -1,0 +1,46 @@
+"""System tests: real processes on a real graph, each test on a ROS domain of its own."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from vo2_identification.demo.conductor import Conductor
+from vo2_identification.demo.graph import Graph
+from vo2_models.device import truth
+from vo2_models.excitation import damped_oscillation
+from vo2_models.model_file import save_model_parameters
+from vo2_models.self_sensing import identify
+from vo2_plant_sim.testing import free_domain
+
+
+@pytest.fixture
+def graph(tmp_path):
+    """Processes of this test; ended, whatever happens."""
+    before = dict(os.environ)
+    found = Graph(free_domain(), tmp_path / "logs")
+    os.environ.update(found.environment())
+    yield found
+    found.end()
+    os.environ.clear()
+    os.environ.update(before)
+
+
+@pytest.fixture
+def conductor(graph):
+    """A node that talks to the processes of this test."""
+    found = Conductor(graph)
+    yield found
+    found.close()
+
+
+@pytest.fixture(scope="session")
+def model_file(tmp_path_factory) -> Path:
+    """A model of device 1, identified from a simulated recording."""
+    share = damped_oscillation(np.linspace(0.0, 1.0, 21))
+    recording = truth("integrated", seed=1).simulate(np.repeat(3.68e-3 + 4.81e-3 * share, 10), seed=1)
+    path = tmp_path_factory.mktemp("model") / "model.yaml"
+    save_model_parameters(path, identify(recording, "integrated"))
+    return path
