@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vo2_models.preisach import PreisachOperator
 from vo2_models.preisach.compression import _enumerate, compress, evaluate_partition
+from vo2_models.preisach.compression_study import PUBLISHED_MAX_ERROR, compression_study
 from vo2_models.preisach.grid import cell_areas
 
 UNKNOWN: Any = "l2"
@@ -118,3 +119,11 @@ def test_walls_gather_where_the_density_varies():
 def test_bad_input_is_named(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_section_2_4_in_simulation_j_kl_predicts_best_and_far_better_than_uniform():
+    study = compression_study(densities=8)
+    for errors, key in ((study.prediction, "prediction"), (study.inverse, "inverse")):
+        assert errors["J_KL"] == min(errors.values())
+        published = PUBLISHED_MAX_ERROR[key]["J_KL"] / PUBLISHED_MAX_ERROR[key]["uniform"]
+        assert errors["J_KL"] / errors["uniform"] == pytest.approx(published, abs=0.15)
