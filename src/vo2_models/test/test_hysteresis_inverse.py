@@ -92,6 +92,35 @@ def test_no_input_comes_closer_to_an_unreachable_output(seed, part, family, shar
         assert found.reached
 
 
+@given(seeds, parts, st.sampled_from(["tanh", "linear", "table"]), st.booleans(), sequences, sequences)
+@settings(max_examples=60, deadline=None)
+def test_two_inputs_reach_what_any_sequence_reaches(seed, part, family, shared, history, future):
+    """A wish taken from the end of a random sequence is met by at most two inputs from the present memory."""
+    model = random_model(seed, part, family=family, shared=shared)
+    inverse = RobustInverse(model, RANGE)
+    _, state = model.simulate([RANGE[0], *history])
+    wish = model.simulate(future, state)[0][-1]
+    before = state.copy()
+    plan = inverse.plan(wish, state)
+    assert plan.reached
+    assert len(plan.inputs) <= 2
+    assert all(RANGE[0] <= v <= RANGE[1] for v in plan.inputs)
+    given_back, after = model.simulate(plan.inputs, before)
+    assert abs(given_back[-1] - wish) <= 1e-9 * inverse.output_range
+    np.testing.assert_allclose(after, state, rtol=0, atol=1e-12)
+
+
+def test_a_plan_for_what_nothing_reaches_is_the_nearest():
+    model = EGPI([0.0, 0.4], [1.0, 1.0], TanhEnvelopes(3.0, -1.5, 3.0, 1.5), Linear(-0.3))
+    inverse = RobustInverse(model, (-2.0, 2.0))
+    state = model.initial_state(v=-1.0)
+    plan = inverse.plan(50.0, state)
+    assert not plan.reached
+    assert len(plan.inputs) == 2
+    branch = model.simulate(np.linspace(2.0, -2.0, 4001), model.initial_state(v=2.0))[0]
+    assert plan.output == pytest.approx(branch.max(), abs=1e-5)
+
+
 @given(seeds, sequences)
 @settings(max_examples=40, deadline=None)
 def test_inverse_batch_streaming_and_devices_agree(seed, values):

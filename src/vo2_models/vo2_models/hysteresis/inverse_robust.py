@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vo2_models.hysteresis import inverse_kernels, layout
+from vo2_models.hysteresis import excursion_kernels, inverse_kernels, layout
 from vo2_models.hysteresis.prandtl_ishlinskii import PlayModel
 from vo2_models.validation import finite_array
 
-__all__ = ["Inversion", "InversionBatch", "RobustInverse", "is_monotone", "output_range"]
+__all__ = ["Inversion", "InversionBatch", "Plan", "RobustInverse", "is_monotone", "output_range"]
 
 FloatArray = NDArray[np.float64]
 
@@ -31,6 +31,14 @@ class Inversion(NamedTuple):
     """One inverted sample: input, the output it gives, and whether that is the output asked for."""
 
     input: float
+    output: float
+    reached: bool
+
+
+class Plan(NamedTuple):
+    """Inputs to apply one after the other (one or two), the output they end at, and whether it is the one wanted."""
+
+    inputs: tuple[float, ...]
     output: float
     reached: bool
 
@@ -76,9 +84,10 @@ def is_monotone(model: PlayModel, low: float, high: float) -> bool:
 class RobustInverse:
     """Inverse of a play model over an input range. Its memory is that of the model itself.
 
-    A wish is met by one monotone move of the input from where it is. Of several solutions the nearest to the
-    present input is taken, so small changes of the wish give small moves. A wish that no input in the range
-    meets gives the input whose output is nearest, and `reached` False.
+    `update`, `invert` and `simulate` meet a wish by one monotone move of the input from where it is. Of several
+    solutions the nearest to the present input is taken, so small changes of the wish give small moves. A wish that no
+    such move meets gives the input whose output is nearest, and `reached` False. `plan` then finds an excursion
+    that makes it reachable, if there is one.
 
     Parameters
     ----------
@@ -146,6 +155,29 @@ class RobustInverse:
         if v != v:
             self._refuse(output, state)
         return Inversion(v, found, abs(found - output) <= REACHED_TOLERANCE * self.output_range)
+
+    def plan(self, output: float, state: FloatArray) -> Plan:
+        """Like `invert`, but with an excursion first where one monotone move cannot give the output.
+
+        In a non-monotone model an output may need another branch. The excursion is the shortest that makes it
+        reachable. With weights >= 0 two inputs reach whatever any sequence of inputs within the range can: at any
+        final input the plays are highest after a visit to the upper end and lowest after one to the lower end, and the
+        outputs between follow by continuity.
+
+        Examples
+        --------
+        >>> from vo2_models.hysteresis import EGPI, Linear, TanhEnvelopes
+        >>> model = EGPI([0.0, 0.4], [1.0, 1.0], TanhEnvelopes(3.0, -1.5, 3.0, 1.5), Linear(-0.3))
+        >>> inverse = RobustInverse(model, (-2.0, 2.0))
+        >>> state = model.initial_state(v=-1.0)
+        >>> inverse.invert(1.5, state.copy()).reached, inverse.plan(1.5, state).reached
+        (False, True)
+        """
+        first, second, found = excursion_kernels.plan_step(float(output), self._packed, state)
+        if second != second:
+            self._refuse(output, state)
+        inputs = (second,) if first != first else (first, second)
+        return Plan(inputs, found, abs(found - output) <= REACHED_TOLERANCE * self.output_range)
 
     def simulate(self, output: ArrayLike, state: FloatArray | None = None) -> InversionBatch:
         """Invert a sequence of wanted outputs, (n,) or (m, n) for independent devices.
