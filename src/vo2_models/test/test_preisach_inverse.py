@@ -11,6 +11,7 @@ from vo2_models.preisach.beam import curvature_from_deflection, deflection_from_
 from vo2_models.preisach.inverse import PreisachInverse
 from vo2_models.preisach.nonmonotonic import NonMonotonicPreisach, fit_nonmonotonic
 from vo2_models.preisach.nonmonotonic_inverse import NonMonotonicInverse
+from vo2_models.preisach.nonmonotonic_study import PUBLISHED_PERCENT, nonmonotonic_study
 from vo2_models.preisach.polynomial import fit_polynomial
 
 SEED = st.integers(0, 2**32 - 1)
@@ -231,3 +232,16 @@ def test_where_the_output_is_flat_the_nearest_input_is_given():
     state = empty_ends.memory([3.0, 0.5, 1.7])
     assert PreisachInverse(empty_ends).update(empty_ends.output_range[1], state) == (2.0, True)
     assert PreisachInverse(empty_ends).update(empty_ends.output_range[0], state) == (1.0, True)
+
+
+def test_sections_5_3_and_5_4_on_a_simulated_device():
+    study = nonmonotonic_study(devices=1, targets=80)
+    found = study.percent
+    for quantity, published in PUBLISHED_PERCENT.items():
+        assert found[quantity]["proposed"] <= published["proposed"]
+    prediction = found["prediction max"]
+    assert prediction["proposed"] < prediction["signed Preisach"] < prediction["polynomial"]
+    assert found["inverse rms"]["polynomial"] > 5 * found["inverse rms"]["proposed"]
+    assert study.most_temperatures <= 2
+    with pytest.raises(ValueError, match=r"devices: found 0"):
+        nonmonotonic_study(devices=0)
