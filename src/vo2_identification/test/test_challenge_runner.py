@@ -204,6 +204,7 @@ def test_failed_cases_are_tried_again_on_request(runner, monkeypatch, tmp_path):
         (["--device", "toaster"], "device"),
         (["--only-effects", "perpetual_motion"], "effect"),
         (["--misfit", "0.9"], "misfit"),
+        (["--family", "balls"], "family"),
         (["--kinds", "three"], "kinds"),
     ],
 )
@@ -231,6 +232,7 @@ def test_interrupted_run_leaves_no_process_and_continues(tmp_path):
     process = subprocess.Popen([sys.executable, str(main)], stderr=subprocess.PIPE, text=True)
     try:
         for _ in range(600):
+            assert process.poll() is None
             if mark.exists() and mark.read_text():
                 break
             time.sleep(0.1)

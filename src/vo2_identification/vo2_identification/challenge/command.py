@@ -13,6 +13,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import asdict
 from pathlib import Path
 
+from vo2_identification.challenge.domains import FAMILIES
 from vo2_identification.challenge.draw import KINDS, CasePlan, plan_case
 from vo2_identification.challenge.runner import CaseRunner, Paths, Settings, finished, load_json, save_json
 
@@ -37,6 +38,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--kinds", default="", help=f"comma-separated, of {', '.join(KINDS)}")
     parser.add_argument("--device", help="one preset only")
     parser.add_argument("--misfit", type=float, default=0.1, help="scatter of the concealed hysteresis")
+    parser.add_argument("--family", default="plays", help=f"concealed hysteresis: {' or '.join(FAMILIES)}")
     parser.add_argument(
         "--timeout", type=float, default=300.0, help="seconds for each fit and each diagnosis"
     )
@@ -76,6 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     settings = Settings(
         arguments.seed,
         arguments.misfit,
+        arguments.family,
         arguments.device,
         _words(arguments.only_effects),
         _words(arguments.kinds),
@@ -87,6 +90,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             )
         if not 0 <= arguments.misfit <= 0.3:
             raise ValueError(f"misfit: found {arguments.misfit}, need 0 to 0.3")
+        if arguments.family not in FAMILIES:
+            raise ValueError(f"family: found {arguments.family!r}, need one of {', '.join(FAMILIES)}")
         plans = [
             plan_case(
                 settings.seed,
@@ -148,7 +153,7 @@ def _write_bags(plans: Sequence[CasePlan], paths: Paths, settings: Settings) -> 
     for plan in plans:
         if paths.answer(plan.index).exists() and (paths.case(plan.index) / "test" / "metadata.yaml").exists():
             continue
-        case = draw_case(settings.seed, plan, misfit=settings.misfit)
+        case = draw_case(settings.seed, plan, misfit=settings.misfit, family=settings.family)
         folder = paths.case(plan.index)
         folder.mkdir(parents=True, exist_ok=True)
         write_bag(folder / "calibration", case.calibration)

@@ -158,7 +158,7 @@ def static_deflection(device: Device, fraction: Array, temperature: Array) -> Ar
     return np.asarray(device.rest + device.strain * fraction - slope * (temperature - device.ambient))
 
 
-def draw_device(rng: np.random.Generator, name: str, *, misfit: float = 0.1) -> Device:
+def draw_device(rng: np.random.Generator, name: str, *, misfit: float = 0.1, family: str = "plays") -> Device:
     """Draw a device around preset `name`.
 
     Spread: transition mean 1 K, all widths and scales 8 per cent, time constant 8, gain and ranges 3 per cent.
@@ -183,6 +183,7 @@ def draw_device(rng: np.random.Generator, name: str, *, misfit: float = 0.1) -> 
         offset_mean=spread(preset.offset[0], 0.2),
         offset_sd=spread(preset.offset[1], 0.1),
         misfit=misfit,
+        family=family,
     )
     cold, hot = sorted(float(preset.steady_temperature(i)) for i in preset.operating)
     low, high = (spread(r, 0.03) for r in preset.resistance)

@@ -126,18 +126,20 @@ def plan_case(
     return CasePlan(index, kind, where[(deck + start) % len(where)], (effect.id,))
 
 
-def _case_parts(seed: int, plan: CasePlan, misfit: float) -> tuple[np.random.Generator, Device, Noise, bool]:
+def _case_parts(
+    seed: int, plan: CasePlan, misfit: float, family: str
+) -> tuple[np.random.Generator, Device, Noise, bool]:
     """Return the case's randomness after drawing device, noise and whether the rig logs the true current."""
     rng = np.random.default_rng([seed, 29, plan.index])
-    device = draw_device(rng, plan.device, misfit=misfit)
+    device = draw_device(rng, plan.device, misfit=misfit, family=family)
     noise = draw_rig_noise(rng, device)
     shunt = bool(rng.random() < 0.5) and not any(find(name).needs_set_value for name in plan.effects)
     return rng, device, noise, shunt
 
 
-def draw_case(seed: int, plan: CasePlan, *, misfit: float = 0.1) -> Case:
-    """Draw the case of `plan`: same seed, plan and misfit, same recordings bit for bit."""
-    rng, device, noise, shunt = _case_parts(seed, plan, misfit)
+def draw_case(seed: int, plan: CasePlan, *, misfit: float = 0.1, family: str = "plays") -> Case:
+    """Draw the case of `plan`: same seed, plan, misfit and family, same recordings bit for bit."""
+    rng, device, noise, shunt = _case_parts(seed, plan, misfit, family)
     preset = device.preset
     calibration = _record(
         device, simulate(device, calibration_current(rng, preset), Plan()), Plan(), noise, rng, shunt
@@ -164,6 +166,7 @@ def draw_case(seed: int, plan: CasePlan, *, misfit: float = 0.1) -> Case:
         "device": plan.device,
         "logged_current": "shunt" if shunt else "set",
         "misfit": misfit,
+        "family": family,
         "effects": [
             _effect_answer(effect, alone_excess, clean, alone, noise, shunt, context)
             for effect, (alone, alone_excess) in zip(drawn, each, strict=True)
@@ -176,13 +179,19 @@ def draw_case(seed: int, plan: CasePlan, *, misfit: float = 0.1) -> Case:
 
 
 def follow_up_recording(
-    seed: int, plan: CasePlan, answer: dict, command: Array, *, misfit: float = 0.1
+    seed: int,
+    plan: CasePlan,
+    answer: dict,
+    command: Array,
+    *,
+    misfit: float = 0.1,
+    family: str = "plays",
 ) -> Recording:
     """Return a recording of the same concealed device with the same effects, driven with `command` (n,) [A].
 
     This is what a user gets who plays the experiment that the diagnosis proposes.
     """
-    _, device, noise, shunt = _case_parts(seed, plan, misfit)
+    _, device, noise, shunt = _case_parts(seed, plan, misfit, family)
     rng = np.random.default_rng([seed, 31, plan.index])
     # drifts keep the pace that they had in the first recording
     context = Context(rng, device, TEST_SAMPLES * device.preset.sample_period)

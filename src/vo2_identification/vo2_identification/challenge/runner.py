@@ -37,6 +37,7 @@ class Settings:
 
     seed: int
     misfit: float = 0.1
+    family: str = "plays"
     device: str | None = None
     only_effects: tuple[str, ...] = ()
     kinds: tuple[str, ...] = ()
@@ -117,7 +118,7 @@ class CaseRunner:
         folder = paths.case(index)
         shutil.rmtree(folder, ignore_errors=True)  # an interrupted try
         folder.mkdir(parents=True)
-        case = draw_case(self.settings.seed, plan, misfit=self.settings.misfit)
+        case = draw_case(self.settings.seed, plan, misfit=self.settings.misfit, family=self.settings.family)
         save_json(paths.answer(index), case.answer)
         write_bag(folder / "calibration", case.calibration)
         write_bag(folder / "test", case.test)
@@ -176,7 +177,12 @@ class CaseRunner:
             return
         answer = load_json(self.paths.answer(plan.index))
         recording = follow_up_recording(
-            self.settings.seed, plan, answer, current, misfit=self.settings.misfit
+            self.settings.seed,
+            plan,
+            answer,
+            current,
+            misfit=self.settings.misfit,
+            family=self.settings.family,
         )
         write_bag(folder / "follow_up", recording)
         command = [*self.diagnose, "--bag", "test", "--bag", "follow_up", "--model", "model.yaml"]
