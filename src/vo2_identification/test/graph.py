@@ -13,10 +13,11 @@ from typing import Any
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from vo2_plant_sim.interface.one_host import one_host_environment
 
 PATIENCE_S = 45.0
 """How long a test waits for what normally takes a second: the machine may be busy."""
-DOMAIN = 1 + os.getpid() % 100
+DOMAIN = 1 + os.getpid() * 37 % 100
 _SOURCES = Path(__file__).resolve().parents[2]
 _PACKAGES = ("vo2_models", "vo2_plant_sim", "vo2_estimation", "vo2_control", "vo2_identification")
 
@@ -28,8 +29,7 @@ def environment() -> dict[str, str]:
         for name, value in os.environ.items()
         if not name.startswith(("_ROS_WHEELS", "RCUTILS")) and name != "LD_LIBRARY_PATH"
     }
-    clean["ROS_DOMAIN_ID"] = str(DOMAIN)
-    clean["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    clean.update(one_host_environment(DOMAIN))
     clean["PYTHONUNBUFFERED"] = "1"
     clean["PYTHONPATH"] = os.pathsep.join(
         [*(str(_SOURCES / name) for name in _PACKAGES), os.environ.get("PYTHONPATH", "")]
@@ -50,7 +50,8 @@ class Graph:
     """A node in this process that publishes serialized messages and collects what it hears."""
 
     def __init__(self) -> None:
-        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        self._before = dict(os.environ)
+        os.environ.update(one_host_environment(DOMAIN))
         self.context = rclpy.Context()
         rclpy.init(args=[], context=self.context, domain_id=DOMAIN)
         self.node = rclpy.create_node(f"test_{os.getpid()}", context=self.context)
@@ -77,6 +78,8 @@ class Graph:
         self.executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
+        os.environ.clear()
+        os.environ.update(self._before)
 
 
 @contextmanager

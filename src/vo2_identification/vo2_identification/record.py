@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import os
 import sys
 import time
 from collections.abc import Sequence
@@ -53,9 +54,11 @@ def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) ->
     import rclpy
     from rclpy.signals import SignalHandlerOptions
     from vo2_plant_sim.interface.executable import StopFlag
+    from vo2_plant_sim.interface.one_host import FASTDDS_PROFILE
 
     from vo2_identification.recorder_node import Recorder, contract_topics
 
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(FASTDDS_PROFILE))  # long queues: nothing lost
     known = contract_topics(options.namespace)
     topics = {name: known.get(name, "") for name in options.topics} if options.topics else known
     stop = StopFlag()

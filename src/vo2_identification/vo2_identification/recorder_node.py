@@ -12,7 +12,7 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos, QosDurability, QosReliability
-from vo2_plant_sim.interface.topics import LATCHED_QOS, SAMPLE_QOS
+from vo2_plant_sim.interface.topics import LATCHED_QOS, READ_QOS, SAMPLE_QOS
 
 from vo2_identification.bags.channels import JOINT_STATE
 from vo2_identification.bags.qos import contract_qos
@@ -24,7 +24,6 @@ _STAMP = struct.Struct("<iI")
 _CLOCK = "rosgraph_msgs/msg/Clock"
 _DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 _SAMPLES = (JOINT_STATE, _CLOCK)
-_QUEUE = 5000  # the publisher keeps 100; this side waits for the disk, so it keeps a second of 5 kHz
 _ANOTHER_CLOCK_NS = 86_400_000_000_000
 _MOST_WAITING = 1000
 
@@ -109,7 +108,7 @@ class Recorder(Node):
     def _subscribe(self, topic: str, *, latched: bool, reliable: bool) -> None:
         qos = QoSProfile(
             history=SAMPLE_QOS.history,
-            depth=_QUEUE,
+            depth=READ_QOS.depth,  # the publisher keeps 100; this side may have to wait for the disk
             reliability=SAMPLE_QOS.reliability if reliable else ReliabilityPolicy.BEST_EFFORT,
             durability=LATCHED_QOS.durability if latched else SAMPLE_QOS.durability,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -64,7 +65,9 @@ def _replay(bag: Outline, options: argparse.Namespace, ros_args: list[str]) -> i
     import rclpy
     from rclpy.signals import SignalHandlerOptions
     from vo2_plant_sim.interface.executable import StopFlag
+    from vo2_plant_sim.interface.one_host import FASTDDS_PROFILE
 
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(FASTDDS_PROFILE))  # long queues: nothing lost
     stop = StopFlag()
     node = None
     try:
