@@ -9,7 +9,7 @@ from vo2_control.controller import CurrentLimits, LinearController
 from vo2_control.discretise import discrete_law
 from vo2_control.hinf import PUBLISHED_CONTROLLER
 from vo2_control.pid import PUBLISHED_PELTIER_PID, PidGains, pid_controller
-from vo2_models.device.truth import truth
+from vo2_models.device import truth
 from vo2_models.self_sensing.polynomial import PolynomialSelfSensing
 
 LIMITS = CurrentLimits(-1.2, 1.2)

@@ -15,7 +15,7 @@ from vo2_control.feedforward import (
 )
 from vo2_control.model_tuning import tuned_from_model
 from vo2_control.pid import PidGains, pid_controller
-from vo2_models.device.truth import truth
+from vo2_models.device import truth
 from vo2_models.excitation import damped_oscillation
 from vo2_models.fitting.device_fit import fit_device
 from vo2_models.hysteresis import EGPI, Polynomial, TanhEnvelopes

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import yaml
+from vo2_models.device import truth
 from vo2_models.device.stepper import Stepper
-from vo2_models.device.truth import truth
 from vo2_models.parameters import Parameter
 
 from vo2_plant_sim.interface.parameters import ParameterTable

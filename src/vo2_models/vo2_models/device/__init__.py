@@ -19,10 +19,10 @@ _HOME = {
     "preset": "presets",
     "Simulation": "simulation",
     "Stepper": "stepper",
-    "TruthDevice": "truth",
+    "TruthDevice": "ground_truth",
     "temperature_of_surrogate": "surrogate",
+    "truth": "ground_truth",
     "surrogate_of_temperature": "surrogate",
-    "truth": "truth",
 }
 __all__ = sorted(_HOME)
 

@@ -137,6 +137,7 @@ _NEUTRAL = {
     Coefficient.REVERSIBLE_BAND: 1.0,
     Coefficient.CREEP_TIME: 1.0,
     Coefficient.MODE_FREQUENCY: 1.0,
+    Coefficient.MODE_DAMPING: 0.02,
     Coefficient.THRESHOLD: 0.5,
     Coefficient.LENGTH: 1.0,
     Coefficient.INSULATOR: 1.0,

@@ -185,12 +185,16 @@ def _heat(c, x, current, h, time, background):
     drive = joule + c[C.SENSE] * x[S.RESISTANCE]
     if _laser_on(c, time):
         drive += c[C.LASER]
-    conductance = 1.0 + c[C.PHASE_LOSS] * x[S.FRACTION]
+    # the fraction in the middle of the step, if it goes on as in the step before
+    conductance = 1.0 + c[C.PHASE_LOSS] * (x[S.FRACTION] + 0.5 * x[S.LAST_CHANGE])
     bend = 0.0
     if c[C.LOSS] != 0.0:
         bend = c[C.LOSS] * abs(theta) ** (c[C.LOSS_EXPONENT] - 1.0)
     surplus = drive + pump * theta - conductance * theta * (1.0 + bend)
     rate = conductance * (1.0 + c[C.LOSS_EXPONENT] * bend) - pump
+    if c[C.LATENT] != 0.0 and surplus * x[S.LAST_HEAT] > 0.0:
+        # on the same branch as in the step before, latent heat slows the relaxation by what it did there
+        rate /= 1.0 + c[C.LATENT] * x[S.SLOPE]
     tau = c[C.TIME_CONSTANT]
     if surplus < 0.0:
         tau *= 1.0 + c[C.COOLING_RATIO]
@@ -322,7 +326,10 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
         _add_reversible(kind, lead, c, x, film, h)
     if c[C.FEEDBACK] != 0.0:
         x[S.FRACTION] = fraction_of(kind, lead, x[S.OUT_R + lead], c)
+        x[S.LAST_CHANGE] = x[S.FRACTION] - s
     if c[C.LATENT] != 0.0:
+        x[S.LAST_HEAT] = heat
+        x[S.SLOPE] = max((x[S.FRACTION] - s) / (fast - before), 0.0) if abs(fast - before) > 1e-6 else 0.0
         x[S.CARRY] = heat - (fast - before) - c[C.LATENT] * (x[S.FRACTION] - s)
 
 

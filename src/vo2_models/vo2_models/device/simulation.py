@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import expm
 
 from vo2_models.device import chain
 from vo2_models.device.coefficients import CHANNELS, FEEDBACK, Coefficient, neutral
 from vo2_models.device.core import ENSEMBLE, PLAYS
+from vo2_models.device.mode import mode_step
 from vo2_models.device.presets import Preset, preset
 from vo2_models.device.state import CURRENT_LINE, SENSOR_LINE, ChainState, Slot
 from vo2_models.effects import apply_effects
@@ -93,7 +93,7 @@ class Simulation:
     poly_d: Floats = field(default_factory=_NO_POLYNOMIAL.copy)
     levels: Floats = field(default_factory=_NO_LEVELS.copy)
     domains: NDArray[np.int64] = field(default_factory=_NO_DOMAINS.copy)
-    steps_per_constant: float = 8.0
+    steps_per_constant: float = 4.0
     force_feedback: bool = False
 
     def with_effects(self, effects: Mapping[str, Mapping[str, float | str]]) -> Simulation:
@@ -121,7 +121,9 @@ class Simulation:
             raise ValueError(
                 f"dead time: found {c[Coefficient.DEAD_TIME]:g} s, need at most {CURRENT_LINE - 2} sample periods"
             )
-        return c, _mode_step(c, period)
+        if c[Coefficient.MODE_SHARE] == 0.0:
+            return c, np.zeros((2, 4))
+        return c, mode_step(c[Coefficient.MODE_FREQUENCY], c[Coefficient.MODE_DAMPING], period)
 
     def initial_state(self) -> ChainState:
         """Return the memory of a device that has rested without current, insulating, for long."""
@@ -221,24 +223,6 @@ def _virgin(packed: Floats) -> Floats:
     state[0] = -1e6
     state[1:] = -1.0 + packed[6 + count : 6 + 2 * count]
     return state
-
-
-def _mode_step(c: Floats, period: float) -> Floats:
-    """Exact step of z'' + 2 zeta w z' + w^2 z = w^2 u over a period, u linear between samples.
-
-    State (z, z'/w); the rows give both from (z, z'/w, last u, new u).
-    """
-    if c[Coefficient.MODE_SHARE] == 0.0:
-        return np.zeros((2, 4))
-    angle = 2.0 * math.pi * c[Coefficient.MODE_FREQUENCY] * period
-    big = np.zeros((4, 4))
-    big[0, 1] = angle
-    big[1, :3] = [-angle, -2.0 * c[Coefficient.MODE_DAMPING] * angle, angle]
-    big[2, 3] = 1.0  # u grows by (new - last) over the unit interval
-    step = expm(big)[:2]
-    return np.ascontiguousarray(
-        np.column_stack([step[:, 0], step[:, 1], step[:, 2] - step[:, 3], step[:, 3]])
-    )
 
 
 __all__ += ["ENSEMBLE", "PLAYS", "noise_generators"]

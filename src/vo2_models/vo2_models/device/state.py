@@ -33,6 +33,9 @@ class Slot(IntEnum):
     STAGE = auto()  # degC, temperature of the heated body
     FILM = auto()  # degC
     CARRY = auto()  # K, enthalpy not yet turned into temperature or phase
+    LAST_HEAT = auto()  # K, of the step before
+    LAST_CHANGE = auto()  # 1, of the phase fraction in the step before
+    SLOPE = auto()  # 1/K, phase fraction per temperature in the step before
     RAW_R = auto()  # transition outputs, before relaxation and reversible part
     RAW_D = auto()
     EQUILIBRIUM_R = auto()  # what the transitions would have without kinetics

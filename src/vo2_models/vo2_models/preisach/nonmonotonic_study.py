@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vo2_models.device import truth
 from vo2_models.device.presets import preset
-from vo2_models.device.truth import truth
 from vo2_models.excitation import damped_oscillation, random_levels
 from vo2_models.preisach.beam import curvature_from_deflection
 from vo2_models.preisach.least_squares import fit_preisach

@@ -10,7 +10,7 @@ from vo2_control.controller import LinearController
 from vo2_control.discretise import discrete_law
 from vo2_control.hinf import PUBLISHED_CONTROLLER
 from vo2_control.pid import PUBLISHED_PELTIER_PID, pid_law
-from vo2_models.device.truth import truth
+from vo2_models.device import truth
 
 from vo2_identification.reproduce.claims import Claim, Context, Section, at_most
 from vo2_identification.reproduce.figures import draw

@@ -104,7 +104,7 @@ def truth(
         coefficients=c,
         levels=np.ascontiguousarray([metallic[0], structural[0]]),
         domains=np.ascontiguousarray([metallic[1], structural[1]]),
-        steps_per_constant=24.0,
+        steps_per_constant=16.0,
     )
     return replace(device, coefficients=device.with_effects(effects or {}).coefficients)
 

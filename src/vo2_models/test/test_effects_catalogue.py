@@ -1,0 +1,257 @@
+"""Every effect: off it changes nothing at all, on it reaches the channels it names and no other."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from vo2_models.device import preset, truth
+from vo2_models.device.coefficients import neutral
+from vo2_models.effects import apply_effects, effect, effect_ids, effects
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
+
+CONTRACT = [
+    "cantilever_resonance",
+    "second_thermal_mode",
+    "dead_time",
+    "cooling_asymmetry",
+    "ambient_drift",
+    "nonlinear_heat_loss",
+    "latent_heat",
+    "heater_tcr",
+    "laser_heating",
+    "sense_self_heating",
+    "transition_kinetics",
+    "phase_dependent_expansion",
+    "transition_offset",
+    "minor_loop_incongruency",
+    "training_drift",
+    "creep",
+    "series_resistance",
+    "leakage_resistance",
+    "current_crosstalk",
+    "sensor_lag",
+    "sensor_gain_drift",
+    "clock_offset",
+    "adc_saturation",
+    "adc_quantization",
+    "driver_saturation",
+    "driver_slew",
+    "driver_deadzone",
+    "phase_dependent_heat_loss",
+    "peltier_joule_heating",
+    "slow_relaxation",
+    "non_hysteretic_branches",
+]
+
+CASES = [
+    (device, name, signal)
+    for name, record in effects().items()
+    for device in record.presets
+    for signal in record.signals(device)
+]
+
+
+def _current(device: str) -> np.ndarray:
+    rng = np.random.default_rng(7)
+    if device == "integrated":
+        up = np.linspace(3.68e-3, 8.49e-3, 40)
+        return np.repeat(np.concatenate([up, up[::-1], rng.uniform(3.68e-3, 8.49e-3, 60)]), 12)
+    ramp = [np.linspace(0.05, -1.15, 30), np.linspace(-1.15, 0.4, 30), rng.uniform(-1.15, 0.05, 20)]
+    return np.repeat(np.concatenate(ramp), 40)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return {d: truth(d, seed=1).simulate(_current(d), noise=False) for d in ("integrated", "peltier")}
+
+
+def _drawn(device: str, name: str, signal: str) -> dict:
+    rng = np.random.default_rng(3)
+    values = effect(name).draw(device, rng)
+    while signal and values["signal"] != signal:
+        values = effect(name).draw(device, rng)
+    return values
+
+
+def test_catalogue_is_the_contract():
+    assert set(effect_ids()) == set(CONTRACT)
+    assert len(CONTRACT) == 31
+    assert "latent_heat" not in effect_ids("peltier")
+    assert "peltier_joule_heating" not in effect_ids("integrated")
+
+
+@pytest.mark.parametrize(("device", "name", "signal"), CASES)
+def test_neutral_is_bitwise_nothing_and_typical_reaches_what_it_names(device, name, signal, clean):
+    base = clean[device]
+    record = effect(name)
+    off = {**record.neutral(), **({"signal": signal} if signal else {})}
+    neutral_run = truth(device, seed=1, effects={name: off}).simulate(_current(device), noise=False)
+    for channel, values in base.channels.items():
+        assert np.array_equal(neutral_run[channel], values), channel
+    on = truth(device, seed=1, effects={name: _drawn(device, name, signal)}).simulate(
+        _current(device), noise=False
+    )
+    measured = preset(device).channels
+    changed = {channel for channel in measured if not np.array_equal(on[channel], base[channel])}
+    assert changed == set(record.reaches(device, signal))
+    # visible: where it reaches, the change is more than the channel's noise
+    noise = preset(device).noise
+    visible = [
+        np.sqrt(np.mean(np.square(on[c] / base[c] - 1.0 if c == RESISTANCE else on[c] - base[c])))
+        > noise.get(c, 0.0)
+        for c in changed
+    ]
+    assert any(visible)
+
+
+@pytest.mark.parametrize("name", effect_ids())
+def test_record_is_complete(name):
+    record = effect(name)
+    assert record.parameters and record.presets
+    for text in (record.equation, record.excitation, record.source):
+        assert len(text) > 5
+    assert len(record.statement) > 100
+    for parameter in record.parameters:
+        assert parameter.unit and parameter.description
+        default: Any = parameter.default
+        assert parameter.lower is not None and parameter.upper is not None
+        assert parameter.lower <= default <= parameter.upper
+    assert set(record.fixed) <= {p.name for p in record.parameters}
+    c = neutral()
+    for device in record.presets:
+        for signal in record.signals(device):
+            values = record.neutral() | ({"signal": signal} if signal else {})
+            apply_effects(c, {name: values}, device=device)
+    assert np.array_equal(c, neutral())
+
+
+def _pair(name: str, device: str, current: np.ndarray, **values: float):
+    return (
+        truth(device).simulate(current, noise=False),
+        truth(device, effects={name: values}).simulate(current, noise=False),
+    )
+
+
+def test_latent_heat_delays_the_crossing_and_changes_no_steady_state():
+    current = np.r_[np.full(40, 5.0e-3), np.full(40, 8.0e-3), np.full(40, 5.0e-3)]
+    base, run = _pair("latent_heat", "integrated", current, latent=15.0)
+    t0, t1 = base["true_temperature"], run["true_temperature"]
+    crossing = np.argmax(t0[40:] > 62.0), np.argmax(t1[40:] > 62.0)
+    assert crossing[1] > crossing[0]
+    assert np.all(t1[40:60] <= t0[40:60] + 1e-9)
+    assert np.all(t1[80:100] >= t0[80:100] - 1e-9)
+    assert t1[79] == pytest.approx(t0[79], abs=0.02)
+
+
+def test_directions():
+    """The sign of each effect's first consequence, from its equation."""
+    hot = np.full(60, 8.2e-3)
+    base, run = _pair("nonlinear_heat_loss", "integrated", hot, beta=1e-3)
+    theta = run["true_temperature"][-1] - 22.0
+    assert theta + 1e-3 * theta**2 == pytest.approx(base["true_temperature"][-1] - 22.0, rel=1e-6)
+    base, run = _pair("heater_tcr", "integrated", hot, alpha=1e-3)
+    joule = base["true_temperature"][-1] - 22.0
+    assert run["true_temperature"][-1] - 22.0 == pytest.approx(joule / (1.0 - 1e-3 * joule), rel=1e-6)
+    base, run = _pair("phase_dependent_heat_loss", "integrated", hot, gamma=0.1)
+    assert run["true_temperature"][-1] - 22.0 == pytest.approx(joule / 1.1, rel=1e-3)
+    base, run = _pair("laser_heating", "integrated", hot, rise=2.0)
+    assert run["true_temperature"] - base["true_temperature"] == pytest.approx(2.0, abs=1e-9)
+    base, run = _pair("sense_self_heating", "integrated", np.zeros(60), coefficient=1e-5)
+    rise = run["true_temperature"][-1] - 22.0
+    assert rise == pytest.approx(1e-5 * run["true_film_resistance"][-1], rel=1e-3)
+    base, run = _pair("series_resistance", "integrated", hot, resistance=500.0)
+    assert run[RESISTANCE] - base[RESISTANCE] == pytest.approx(500.0, abs=1e-6)
+    base, run = _pair("leakage_resistance", "integrated", hot, conductance=1e-6)
+    assert 1.0 / run[RESISTANCE] - 1.0 / base[RESISTANCE] == pytest.approx(1e-6, rel=1e-6)
+    base, run = _pair("current_crosstalk", "integrated", hot, coupling=1e5)
+    assert run[RESISTANCE] - base[RESISTANCE] == pytest.approx(820.0, abs=1e-6)
+    base, run = _pair("phase_dependent_expansion", "integrated", hot, slope=1e-7)
+    lost = base[TIP_DEFLECTION][-1] - run[TIP_DEFLECTION][-1]
+    assert lost == pytest.approx(1e-7 * (base["true_temperature"][-1] - 22.0), rel=1e-3)
+
+
+def test_steady_peltier_terms():
+    for i in (-0.8, 0.4):
+        _, run = _pair("peltier_joule_heating", "peltier", np.full(8000, i), rho=5.0, pumping=0.05)
+        expected = (-50.0 * i + 5.0 * i * i) / (1.0 - 0.05 * i)
+        assert run[STAGE_TEMPERATURE][-1] - 25.0 == pytest.approx(expected, rel=1e-6)
+
+
+def test_kinetics_widens_inside_the_transition_only():
+    outside = np.repeat([4.2e-3, 4.6e-3, 4.2e-3, 4.6e-3], 20)
+    base, run = _pair("transition_kinetics", "integrated", outside, time_constant=2e-3)
+    assert np.allclose(run[RESISTANCE], base[RESISTANCE], rtol=1e-3)
+    inside = np.repeat([4.6e-3, 8.0e-3], 20)
+    base, run = _pair("transition_kinetics", "integrated", inside, time_constant=2e-3)
+    assert np.all(run[RESISTANCE][20:30] >= base[RESISTANCE][20:30] * (1 - 1e-9))
+    assert run[RESISTANCE][23] > 1.3 * base[RESISTANCE][23]
+    assert run[RESISTANCE][-1] == pytest.approx(base[RESISTANCE][-1], rel=1e-3)
+
+
+def test_slow_relaxation_drifts_at_a_hold_inside_the_loop_only():
+    values = {"amplitude": 0.01, "onset": 5e-3}
+    inside = np.r_[np.full(40, 4.5e-3), np.full(2000, 6.3e-3)]
+    base, run = _pair("slow_relaxation", "integrated", inside, **values)
+    fraction = (run[TIP_DEFLECTION] - base[TIP_DEFLECTION])[60:] / 57e-6
+    held = np.arange(1, fraction.size + 1) * 1e-3
+    curve = np.log1p(held / 5e-3)
+    slope = np.polyfit(curve[200:], fraction[200:], 1)[0]
+    assert 0.3 * 0.01 < slope < 1.1 * 0.01  # A * 4 s (1 - s), with s near the middle
+    assert np.corrcoef(curve[200:], fraction[200:])[0, 1] > 0.999
+    outside = np.full(2000, 4.5e-3)
+    base, run = _pair("slow_relaxation", "integrated", outside, **values)
+    assert np.abs(run[TIP_DEFLECTION] - base[TIP_DEFLECTION]).max() < 1e-10
+
+
+def test_incongruency_spares_the_plateaus_and_tilts_the_loop():
+    ramp = np.repeat(np.r_[np.linspace(4e-3, 8.4e-3, 300), np.linspace(8.4e-3, 4e-3, 300)], 6)
+    base, run = _pair("minor_loop_incongruency", "integrated", ramp, kappa=2.5)
+    t = base["true_temperature"]
+    up = slice(0, int(np.argmax(t)))
+    d0, d1 = base["true_tip_deflection"][up], run["true_tip_deflection"][up]
+    span = np.ptp(d0)
+    low, high = d0.min() + 0.2 * span, d0.min() + 0.8 * span
+    steep0 = np.diff(
+        np.interp([low, high], d0[np.argmin(d0) : np.argmax(d0)], t[up][np.argmin(d0) : np.argmax(d0)])
+    )
+    steep1 = np.diff(
+        np.interp([low, high], d1[np.argmin(d1) : np.argmax(d1)], t[up][np.argmin(d1) : np.argmax(d1)])
+    )
+    assert steep0 - steep1 == pytest.approx(2.5 * 0.6, rel=0.15)
+
+
+def test_training_counts_reversals():
+    cycle = np.r_[np.full(15, 4.2e-3), np.full(15, 8.3e-3)]
+    base, run = _pair("training_drift", "integrated", np.tile(cycle, 10), shift=0.1)
+    shifted = truth("integrated", effects={"laser_heating": {"rise": 0.0}}).simulate(cycle, noise=False)
+    assert np.array_equal(base[RESISTANCE][:30], shifted[RESISTANCE])
+    # first cycle: nothing has turned yet when it first crosses; the tenth: 18 turns, 1.8 K
+    assert np.array_equal(run[RESISTANCE][:29], base[RESISTANCE][:29])
+    late = slice(285, 300)
+    early = np.log(run[RESISTANCE][late] / base[RESISTANCE][late])
+    assert early.min() < -0.02
+
+
+def test_non_hysteretic_branch_has_a_slope_and_no_area():
+    middle = np.r_[np.full(40, 4.2e-3), np.full(40, 6.35e-3)]
+    dither = 6.3e-3 + 0.01e-3 * np.sin(2 * np.pi * np.arange(600) / 60)
+    base, run = _pair("non_hysteretic_branches", "integrated", np.r_[middle, dither], slope=0.02, band=2.0)
+    late = slice(-300, None)
+    t = base["true_temperature"][late]
+    d0, d1 = base[TIP_DEFLECTION][late], run[TIP_DEFLECTION][late]
+    extra = np.polyfit(t, d1 - d0, 1)
+    assert extra[0] > 0.2 * 0.02 * 57e-6
+    assert np.std(d1 - d0 - np.polyval(extra, t)) < 0.05 * np.std(d1 - d0)
+
+
+def test_driver_effects_show_in_the_logged_current():
+    command = np.repeat([4e-3, 8e-3, 5e-3, 0.05e-3], 10)
+    for name, values, expected in (
+        ("driver_saturation", {"limit": 7e-3}, np.minimum(command, 7e-3)),
+        ("driver_deadzone", {"width": 0.2e-3}, np.maximum(command - 0.2e-3, 0.0)),
+    ):
+        run = truth("integrated", effects={name: values}).simulate(command, noise=False)
+        assert np.allclose(run[HEATER_CURRENT], expected, rtol=0, atol=1e-15)
+    run = truth("integrated", effects={"driver_slew": {"rate": 1.0}}).simulate(command, noise=False)
+    assert np.max(np.abs(np.diff(run[HEATER_CURRENT]))) == pytest.approx(1e-3)
+    assert run[HEATER_CURRENT][9] == 4e-3 and run[HEATER_CURRENT][19] == 8e-3

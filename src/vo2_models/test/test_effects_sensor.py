@@ -1,0 +1,102 @@
+"""Structure and sensor effects against their equations, worked out with numpy and scipy."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from vo2_models.device import truth
+from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
+
+CURRENT = np.repeat(np.random.default_rng(1).uniform(4e-3, 8.4e-3, 40), 15)
+DT = 1e-3
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return truth("integrated", seed=4).simulate(CURRENT, noise=False)
+
+
+def _with(name: str, **values) -> np.ndarray:
+    return truth("integrated", seed=4, effects={name: values}).simulate(CURRENT, noise=False)
+
+
+@pytest.mark.parametrize("channel", [RESISTANCE, TIP_DEFLECTION])
+def test_lag(clean, channel):
+    y = clean[channel]
+    decay = np.exp(-DT / 3e-3)
+    rest = truth("integrated", seed=4).simulate(np.zeros(1), noise=False)[channel][0]
+    expected = rest + lfilter([1 - decay], [1, -decay], y - rest)
+    found = _with("sensor_lag", signal=channel, time_constant=3e-3)[channel]
+    assert np.allclose(found, expected, rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("delay", [0.3e-3, 1e-3, 4.6e-3])
+def test_clock(clean, delay):
+    time = clean.time_s
+    expected = np.interp(time - delay, time, clean[RESISTANCE])
+    found = _with("clock_offset", signal=RESISTANCE, delay=delay)[RESISTANCE]
+    late = time >= delay
+    assert np.allclose(found[late], expected[late], rtol=1e-9)
+
+
+def test_gain_drift(clean):
+    found = _with("sensor_gain_drift", signal=TIP_DEFLECTION, rate=0.05)[TIP_DEFLECTION]
+    assert np.allclose(found, clean[TIP_DEFLECTION] * (1 + 0.05 * clean.time_s), rtol=1e-12)
+
+
+def test_quantisation_and_saturation(clean):
+    found = _with("adc_quantization", signal=RESISTANCE, step=1000.0)[RESISTANCE]
+    assert np.allclose(found, 1000.0 * np.round(clean[RESISTANCE] / 1000.0), rtol=0, atol=1e-9)
+    found = _with("adc_saturation", signal=TIP_DEFLECTION, low=5e-6, high=40e-6)[TIP_DEFLECTION]
+    assert np.array_equal(found, np.clip(clean[TIP_DEFLECTION], 5e-6, 40e-6))
+
+
+def test_quantisation_comes_after_the_noise():
+    effects = {"adc_quantization": {"signal": STAGE_TEMPERATURE, "step": 0.25}}
+    run = truth("peltier", effects=effects).simulate(np.full(400, -0.5), seed=3)
+    steps = run[STAGE_TEMPERATURE] / 0.25
+    assert np.allclose(steps, np.round(steps))
+
+
+def test_two_sensors_at_once():
+    effects = {
+        "sensor_gain_drift:a": {"signal": RESISTANCE, "rate": 0.02},
+        "sensor_gain_drift:b": {"signal": TIP_DEFLECTION, "rate": 0.03},
+    }
+    base = truth("integrated", seed=4).simulate(CURRENT, noise=False)
+    run = truth("integrated", seed=4, effects=effects).simulate(CURRENT, noise=False)
+    for channel, rate in ((RESISTANCE, 0.02), (TIP_DEFLECTION, 0.03)):
+        assert np.allclose(run[channel] / base[channel], 1 + rate * base.time_s)
+
+
+def test_creep(clean):
+    d = clean["true_tip_deflection"]
+    rest = truth("integrated", seed=4).simulate(np.zeros(1), noise=False)["true_tip_deflection"][0]
+    decay = np.exp(-DT / 0.1)
+    slow = rest + lfilter([1 - decay], [1, -decay], d - rest)
+    found = _with("creep", share=0.2, time_constant=0.1)["true_tip_deflection"]
+    assert np.allclose(found, 0.8 * d + 0.2 * slow, rtol=1e-9)
+
+
+def test_resonance_solves_the_oscillator(clean):
+    """Many small steps of z'' + 2 zeta w z' + w^2 z = w^2 D, D linear between samples."""
+    d = clean["true_tip_deflection"]
+    rest = truth("integrated", seed=4).simulate(np.zeros(1), noise=False)["true_tip_deflection"][0]
+    frequency, damping, parts = 120.0, 0.02, 200
+    w = 2 * np.pi * frequency
+    fine = np.interp(np.arange(0, d.size * parts + 1) / parts, np.arange(d.size + 1), np.r_[rest, d])
+    h = DT / parts
+    z, rate = rest, 0.0
+    expected = []
+    for k in range(d.size * parts):
+        force = 0.5 * (fine[k] + fine[k + 1])
+        # midpoint rule
+        zm = z + 0.5 * h * rate
+        rm = rate + 0.5 * h * (w * w * (fine[k] - z) - 2 * damping * w * rate)
+        z += h * rm
+        rate += h * (w * w * (force - zm) - 2 * damping * w * rm)
+        if (k + 1) % parts == 0:
+            expected.append(z)
+    found = _with("cantilever_resonance", share=1.0, frequency=frequency, damping=damping)[TIP_DEFLECTION]
+    assert np.abs(found - expected).max() < 2e-3 * np.ptp(d)
+    half = _with("cantilever_resonance", share=0.5, frequency=frequency, damping=damping)[TIP_DEFLECTION]
+    assert np.allclose(half, 0.5 * d + 0.5 * found, rtol=0, atol=1e-12)

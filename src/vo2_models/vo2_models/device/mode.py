@@ -1,0 +1,35 @@
+"""One lightly damped mode of the structure, advanced exactly from sample to sample."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+__all__ = ["mode_step"]
+
+
+def mode_step(frequency: float, damping: float, period: float) -> NDArray[np.float64]:
+    """Exact step of z'' + 2 zeta w z' + w^2 z = w^2 u over a sample period, u linear between samples.
+
+    Parameters
+    ----------
+    frequency : undamped natural frequency w / (2 pi) [Hz]
+    damping : ratio zeta
+    period : [s]
+
+    Returns
+    -------
+    (2, 4) : rows give the next z and z'/w from (z, z'/w, last u, new u).
+    """
+    angle = 2.0 * math.pi * frequency * period
+    big = np.zeros((4, 4))
+    big[0, 1] = angle
+    big[1, :3] = [-angle, -2.0 * damping * angle, angle]
+    big[2, 3] = 1.0  # u grows by (new - last) over the unit interval
+    step = expm(big)[:2]
+    return np.ascontiguousarray(
+        np.column_stack([step[:, 0], step[:, 1], step[:, 2] - step[:, 3], step[:, 3]])
+    )
