@@ -9,6 +9,7 @@ from scipy.optimize import linprog
 from vo2_models.excitation import damped_oscillation
 from vo2_models.preisach import PreisachOperator, signed_area_matrix
 from vo2_models.preisach.basis_pursuit import basis_pursuit
+from vo2_models.preisach.compressive_device_study import compressive_device_study
 from vo2_models.preisach.compressive_sensing import identify_compressed, identify_preisach_compressed
 from vo2_models.preisach.monte_carlo import PUBLISHED, compressive_sensing_study
 
@@ -95,6 +96,15 @@ def test_section_4_3_in_small():
     assert study.ratio("density", "CS") > 1.0 > PUBLISHED["density"]["CS"]
     study, again = (compressive_sensing_study((10, 20), runs=2, level=7, seed=1) for _ in range(2))
     assert all(np.array_equal(again.errors[k], study.errors[k]) for k in study.errors)
+
+
+def test_section_4_4_in_small_the_oracle_order_helps_on_a_device_like_density():
+    study = compressive_device_study((150, 300), runs=2, seed=1)
+    for measure in ("density", "model", "random input"):
+        assert study.ratio(measure, "CS Order Non-negative") <= study.ratio(measure, "CS Order") < 1.0
+        assert study.ratio(measure, "CS Order") < study.ratio(measure, "CS")
+    with pytest.raises(ValueError, match=r"runs: found 0"):
+        compressive_device_study(runs=0)
 
 
 @pytest.mark.parametrize(
