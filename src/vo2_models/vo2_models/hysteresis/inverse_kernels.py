@@ -31,6 +31,8 @@ from vo2_models.hysteresis.kernels import (
 from vo2_models.hysteresis.layout import HEADER, POLYNOMIAL, SINE, TABLE, TANH
 
 SETTINGS = 4
+NEAREST = 100.0
+"""Coarser tolerance of the search for the nearest output: 1e-10 of the range instead of the solver's 1e-12."""
 TANH_CURVATURE = 4.0 / (3.0 * math.sqrt(3.0))
 """Largest |tanh''|."""
 
@@ -199,6 +201,9 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
     active = 0
     best_v = start
     a = start
+    fa = 0.0
+    cut = start
+    first_piece = True
     while True:
         # the plays whose thresholds are passed by now, and where the next one waits
         b = limit
@@ -220,12 +225,15 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
             active += 1
         if kind == TABLE:
             b = _next_knot(a, b, direction, packed, block)
-        fa, slope_a = _evaluate(a, packed, block, members, constant, weight, active, order)
-        if abs(fa - u) < best - tolerance:
-            best = abs(fa - u)
-            best_v = a
-        if not nearest and abs(fa - u) <= tolerance:
-            return True, a, abs(fa - u)
+        if first_piece:
+            fa, slope_a = _evaluate(a, packed, block, members, constant, weight, active, order)
+            # a straight line from here would meet u half way to this cut: the root is likely in the short interval
+            cut = a + direction * 2.0 * abs(fa - u) / max(abs(slope_a), 1e-300)
+            if abs(fa - u) < best - tolerance:
+                best = abs(fa - u)
+                best_v = a
+            if not nearest and abs(fa - u) <= tolerance:
+                return True, a, abs(fa - u)
         if monotone:
             # f rises with v: the sign at the far end decides
             fb, _ = _evaluate(b, packed, block, members, constant, weight, active, order)
@@ -239,14 +247,13 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
                     return True, min(max(v, min(a, b)), max(a, b)), 0.0
                 v = _root(a, fa, b, fb, u, tolerance, packed, block, members, constant, weight, active, order)
                 return True, v, 0.0
+            fa = fb
         else:
             curvature = curvature_d + curvature_g
             stack[0, 0] = a
             stack[0, 1] = b
             depth = 1
-            # a first cut where a straight line would meet u twice over keeps the nearest interval small
-            cut = a + direction * 2.0 * abs(fa - u) / max(abs(slope_a), 1e-300)
-            if not nearest and direction * (b - cut) > 0.0:
+            if first_piece and not nearest and direction * (b - cut) > 0.0:
                 stack[0, 0] = cut
                 stack[1, 0] = a
                 stack[1, 1] = cut
@@ -307,6 +314,7 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
         if b == limit:
             break
         a = b
+        first_piece = False
     fb, _ = _evaluate(limit, packed, block, members, constant, weight, active, order)
     if abs(fb - u) < best - tolerance:
         best = abs(fb - u)
@@ -356,7 +364,9 @@ def solve(u, inverse, state):
         v, gap = other, gap_other
     for k in range(2):
         direction, limit = (first, near_limit) if k == 0 else (-first, far_limit)
-        _, trial, nearer = search_side(direction, now, limit, u, tolerance, False, True, gap, packed, state)
+        _, trial, nearer = search_side(
+            direction, now, limit, u, NEAREST * tolerance, False, True, gap, packed, state
+        )
         if nearer < gap:
             v, gap = trial, nearer
     return v
