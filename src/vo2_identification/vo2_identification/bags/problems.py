@@ -19,7 +19,7 @@ class Problem:
     Attributes
     ----------
     kind : `gap`, `non_monotonic`, `restart`, `nan`, `absent_channel`, `malformed`, `missing_topic`,
-        `other_namespace`, `other_device`, `truncated`, `corrupt`, `metadata`, `missing_file`, `more`
+        `other_namespace`, `other_device`, `negative_time`, `truncated`, `corrupt`, `metadata`, `missing_file`, `more`
     topic : topic name, or the file name where a file is meant
     text : what was found, in words
     time_s : stamp [s] of the place, None where a time has no meaning
