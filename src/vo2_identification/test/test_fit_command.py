@@ -1,0 +1,87 @@
+"""`fit` from bag to model file, and what it says to bad input."""
+
+import numpy as np
+import pytest
+from vo2_identification.bags import write_bag
+from vo2_identification.fit import main
+from vo2_models.device import DeviceModel, truth
+from vo2_models.excitation import damped_oscillation, random_levels
+from vo2_models.model_file import load_model_parameters
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    current = np.repeat(damped_oscillation(np.linspace(3.68e-3, 8.49e-3, 16)), 10)
+    path = tmp_path_factory.mktemp("bags") / "calibration"
+    write_bag(path, truth("integrated", seed=2).simulate(current, seed=1))
+    return path
+
+
+def test_bag_to_model_file(bag, tmp_path, capsys):
+    output = tmp_path / "model.yaml"
+    arguments = [
+        "--bag",
+        str(bag),
+        "--device",
+        "integrated",
+        "--output",
+        str(output),
+        "--plays",
+        "8",
+        "--quiet",
+    ]
+    assert main(arguments) == 0
+    printed = capsys.readouterr()
+    assert "tip_deflection: residual" in printed.out and str(output) in printed.out
+    assert printed.err == ""
+    model = DeviceModel.load(output)
+    current = np.repeat(random_levels(3.68e-3, 8.49e-3, 100, seed=9), 10)
+    device = truth("integrated", seed=2).simulate(current, noise=False)
+    gap = model.simulate(current, noise=False)[TIP_DEFLECTION] - device[TIP_DEFLECTION]
+    assert np.mean(np.abs(gap)) < 0.01 * 57.03e-6
+    parameters = load_model_parameters(output)
+    assert parameters["model.device"] == "integrated"
+    assert any(name.startswith("model.self_sensing.") for name in parameters)
+    assert any(name.startswith("model.uncertainty.resistance.") for name in parameters)
+
+
+def _refused(capsys, *arguments: str) -> str:
+    assert main(list(arguments)) == 2
+    error = capsys.readouterr().err
+    message = error.strip().splitlines()[-1]
+    assert message.startswith("fit: ")
+    return message
+
+
+def test_bad_input(bag, tmp_path, capsys):
+    output = str(tmp_path / "model.yaml")
+    assert "nowhere" in _refused(capsys, "--bag", str(bag), "--device", "nowhere", "--output", output)
+    other = _refused(capsys, "--bag", str(bag), "--device", "peltier", "--output", output)
+    assert "--device integrated" in other
+    assert "absent" in _refused(
+        capsys, "--bag", str(tmp_path / "absent"), "--device", "integrated", "--output", output
+    )
+    time = 1e-3 * np.arange(2000, dtype=np.float64)
+    noise = np.random.default_rng(0).standard_normal(time.size)
+    cases = {
+        "constant": (
+            {HEATER_CURRENT: np.full(time.size, 5e-3), RESISTANCE: 1e5 * np.exp(0.01 * noise)},
+            "operating range",
+        ),
+        "blind": ({HEATER_CURRENT: np.linspace(4e-3, 8e-3, time.size)}, "film_resistance"),
+    }
+    for name, (channels, word) in cases.items():
+        write_bag(tmp_path / name, Recording(time, channels, "integrated"))
+        message = _refused(
+            capsys, "--bag", str(tmp_path / name), "--device", "integrated", "--output", output
+        )
+        assert word in message
+    assert not (tmp_path / "model.yaml").exists()
+
+
+def test_unwritable_output(bag, capsys, tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    output = str(tmp_path / "file" / "model.yaml")
+    arguments = ["--bag", str(bag), "--device", "integrated", "--output", output, "--plays", "2", "--quiet"]
+    assert "cannot be written" in _refused(capsys, *arguments)

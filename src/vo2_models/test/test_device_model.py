@@ -1,0 +1,133 @@
+"""The fitted simulation as parameters: what is written is what is read, and every node can declare it."""
+
+import numpy as np
+import pytest
+from vo2_models.device import PARAMETERS, DeviceModel
+from vo2_models.device.bank import PlayBank
+from vo2_models.device.model import SensorModel
+from vo2_models.model_file import save_model_parameters
+from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
+
+SLOPE, CENTRE, HALF = np.array([0.3, 0.25]), np.array([60.0, 58.0]), np.array([2.0, 4.0])
+
+
+def _bank(weight: float, polynomial: list[float]) -> PlayBank:
+    return PlayBank(
+        np.full(2, weight),
+        np.zeros(2),
+        SLOPE,
+        -SLOPE * (CENTRE + HALF),
+        SLOPE,
+        -SLOPE * (CENTRE - HALF),
+        polynomial,
+    )
+
+
+@pytest.fixture
+def model() -> DeviceModel:
+    return DeviceModel(
+        "integrated",
+        scalars={"thermal.time_constant": 2e-3},
+        resistance=_bank(0.25, [-5.3, 5e-3]),
+        deflection=_bank(12e-6, [30e-6, -1e-7, 1e-10]),
+        sensors={
+            RESISTANCE: SensorModel(noise=2e-3, residual=1e-3),
+            TIP_DEFLECTION: SensorModel(noise=5e-8, colour=(0.3,), residual=6e-8, residual_colour=(0.2, 0.1)),
+        },
+        effects={
+            "latent_heat": {"latent": 8.0},
+            "sensor_lag:tip_deflection": {"signal": TIP_DEFLECTION, "time_constant": 1e-3},
+            "sensor_lag:film_resistance": {"signal": RESISTANCE, "time_constant": 2e-3},
+        },
+        uncertainty={"thermal.time_constant": (1e-5,), "deflection.weights": (1e-7, 2e-7)},
+    )
+
+
+CURRENT = np.repeat(np.random.default_rng(0).uniform(4e-3, 8e-3, 50), 8)
+
+
+def test_file_and_back(model, tmp_path):
+    model.save(tmp_path / "model.yaml", comment="for a test")
+    again = DeviceModel.load(tmp_path / "model.yaml")
+    assert again.to_parameters() == model.to_parameters()
+    for noise in (False, True):
+        one, other = (m.simulate(CURRENT, seed=3, noise=noise) for m in (model, again))
+        for channel in one.channels:
+            assert np.array_equal(one[channel], other[channel])
+
+
+def test_foreign_sections_are_ignored(model, tmp_path):
+    parameters = model.to_parameters() | {"model.self_sensing.scheme": "composite"}
+    save_model_parameters(tmp_path / "m.yaml", parameters)
+    assert DeviceModel.load(tmp_path / "m.yaml").to_parameters() == model.to_parameters()
+
+
+def test_every_parameter_is_declared_once_with_a_range(model):
+    names = [p.name for p in PARAMETERS]
+    assert len(names) == len(set(names))
+    assert set(model.to_parameters()) <= set(names)
+    for p in PARAMETERS:
+        assert p.name.startswith("model.") and p.description
+        p.check(p.default)
+
+
+def test_declared_defaults_mean_no_effect():
+    """A node declares everything; what it hands back untouched must not switch an effect on."""
+    plain = DeviceModel("integrated", resistance=_bank(0.25, [-5.3]), deflection=_bank(12e-6, [30e-6]))
+    declared = {p.name: p.default for p in PARAMETERS} | plain.to_parameters()
+    again = DeviceModel.from_parameters(declared)
+    assert again.effects == {}
+    assert np.array_equal(
+        again.simulate(CURRENT, noise=False)[RESISTANCE], plain.simulate(CURRENT, noise=False)[RESISTANCE]
+    )
+
+
+def test_stream_equals_batch(model):
+    batch = model.simulate(CURRENT, seed=5)
+    stream = model.stepper(seed=5)
+    samples = np.array([stream.step(i) for i in CURRENT])
+    for k, name in enumerate(stream.channels):
+        assert np.array_equal(samples[:, k], batch[name])
+
+
+def test_bank_is_the_same_law_as_the_play_library(model):
+    """Resistance and deflection are (7.3) and (7.5) over the film temperature."""
+    plain = DeviceModel("integrated", resistance=model.resistance, deflection=model.deflection)
+    run = plain.simulate(CURRENT, noise=False)
+    t = run["true_temperature"]
+    for bank, values in (
+        (model.resistance, -np.log10(run["true_film_resistance"])),
+        (model.deflection, run["true_tip_deflection"]),
+    ):
+        law = bank.egpi()
+        # from a long cold rest: every play at its lower end, then up to ambient
+        state = law.initial_state(v=-200.0)
+        expected, _ = law.simulate(np.r_[22.0, t], state)
+        assert np.allclose(np.asarray(expected)[1:], values, rtol=1e-10, atol=1e-16)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"model.device": "nowhere"}, "model.device"),
+        ({"model.thermal.time_constant": -1.0}, "model.thermal.time_constant"),
+        ({"model.resistance.weights": [1.0, 2.0, 3.0]}, "model.resistance"),
+        ({"model.effects.latent_heat.latent": 1e9}, "model.effects.latent_heat.latent"),
+        ({"model.sensors.film_resistance.noise": float("nan")}, "model.sensors.film_resistance.noise"),
+    ],
+)
+def test_bad_parameters_are_named(model, change, word):
+    with pytest.raises(ValueError, match=word):
+        DeviceModel.from_parameters(model.to_parameters() | change)
+
+
+def test_no_model_at_all():
+    with pytest.raises(ValueError, match="run `fit`"):
+        DeviceModel.from_parameters({p.name: p.default for p in PARAMETERS})
+
+
+def test_missing_deflection_is_a_flat_line(model):
+    half = DeviceModel("integrated", resistance=model.resistance)
+    run = half.simulate(CURRENT, noise=False)
+    assert np.all(run[TIP_DEFLECTION] == 0.0)
+    assert np.ptp(run[RESISTANCE]) > 1e4

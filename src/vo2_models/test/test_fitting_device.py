@@ -1,0 +1,165 @@
+"""The whole fit on simulated devices it shares no hysteresis law with, judged on a sequence it has not seen."""
+
+import numpy as np
+import pytest
+from vo2_models.device import preset, truth
+from vo2_models.excitation import damped_oscillation, random_levels
+from vo2_models.fitting.device_fit import fit_device
+from vo2_models.fitting.grid import on_grid
+from vo2_models.fitting.problem import Problem
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
+
+
+def _calibration(name: str) -> np.ndarray:
+    if name == "integrated":
+        return np.repeat(damped_oscillation(np.linspace(3.68e-3, 8.49e-3, 21)), 10)
+    turns = [0.05, -1.15, -0.2, -1.1, -0.3, -1.0, -0.4, -0.95, -0.5, -0.9, -0.6, -0.8]
+    return np.interp(np.arange(6000), np.linspace(0, 6000, 12), turns)
+
+
+def _unseen(name: str) -> np.ndarray:
+    low, high = sorted(preset(name).operating_range)
+    count, hold = (400, 10) if name == "integrated" else (40, 120)
+    return np.repeat(random_levels(low, high, count, seed=77), hold)
+
+
+@pytest.fixture(scope="module", params=["integrated", "peltier"])
+def fitted(request):
+    name = request.param
+    device = truth(name, seed=6)
+    return name, device, fit_device([device.simulate(_calibration(name), seed=1)], name)
+
+
+def test_prediction_of_an_unseen_sequence(fitted):
+    name, device, result = fitted
+    measured = device.simulate(_unseen(name), noise=False)
+    model = result.model.simulate(_unseen(name), noise=False)
+    deflection = np.abs(model[TIP_DEFLECTION] - measured[TIP_DEFLECTION]) / preset(name).deflection_range
+    resistance = np.log10(model[RESISTANCE] / measured[RESISTANCE])
+    assert deflection.mean() < 0.005
+    assert np.sqrt(np.mean(resistance**2)) < 0.012
+    if name == "peltier":
+        assert np.abs(model[STAGE_TEMPERATURE] - measured[STAGE_TEMPERATURE]).max() < 0.05
+
+
+def test_noise_and_time_constant(fitted):
+    name, device, result = fitted
+    for channel, level in preset(name).noise.items():
+        assert result.model.sensors[channel].noise == pytest.approx(level, rel=0.12)
+        assert result.model.sensors[channel].colour == ()
+    tau = device.prepared(preset(name).sample_period)[0]
+    from vo2_models.device.coefficients import Coefficient
+
+    true = tau[Coefficient.TIME_CONSTANT]
+    assert result.model.scalars["thermal.time_constant"] == pytest.approx(true, rel=0.03)
+    assert not result.settled
+    assert set(result.model.uncertainty) >= {
+        "thermal.time_constant",
+        "resistance.weights",
+        "deflection.weights",
+    }
+
+
+def test_missing_channels(fitted):
+    name, device, _ = fitted
+    run = device.simulate(_calibration(name), seed=1)
+    part = Recording(run.time_s, {k: run[k] for k in (HEATER_CURRENT, RESISTANCE)}, name)
+    result = fit_device([part], name, plays=6)
+    assert not result.model.deflection.present
+    assert any("tip_deflection" in note for note in result.notes)
+    again = result.model.simulate(_unseen(name), noise=False)[RESISTANCE]
+    expected = device.simulate(_unseen(name), noise=False)[RESISTANCE]
+    assert np.std(np.log10(again / expected)) < (0.02 if name == "integrated" else 0.12)
+
+
+def test_recording_that_starts_settled():
+    """A bag that begins with a warm device: the fit notices and says so."""
+    device = truth("integrated", seed=3)
+    current = np.repeat(damped_oscillation(np.linspace(3.68e-3, 8.49e-3, 16))[::-1][:100], 10)
+    run = device.simulate(current, seed=1, settled=True)
+    result = fit_device([run], "integrated", plays=8)
+    assert result.settled
+    assert any("settled" in note for note in result.notes)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda r: Recording(r.time_s, {HEATER_CURRENT: r[HEATER_CURRENT]}), "film_resistance"),
+        (lambda r: Recording(r.time_s, {RESISTANCE: r[RESISTANCE]}), "heater_current"),
+        (
+            lambda r: Recording(r.time_s, {HEATER_CURRENT: np.full(len(r), 5e-3), RESISTANCE: r[RESISTANCE]}),
+            "operating range",
+        ),
+        (lambda r: r.slice(0, 60), "measured|operating range"),
+    ],
+)
+def test_unusable_recordings_are_refused(change, word):
+    run = truth("integrated", seed=3).simulate(_calibration("integrated"), seed=1)
+    with pytest.raises(ValueError, match=word):
+        fit_device([change(run)], "integrated")
+
+
+EFFECTS: dict[str, tuple[dict[str, float], float]] = {
+    "latent_heat": ({"latent": 12.0}, 0.08),
+    "creep": ({"share": 0.08, "time_constant": 0.2}, 0.08),
+    "transition_kinetics": ({"time_constant": 1e-3}, 0.1),
+    "cooling_asymmetry": ({"ratio": 0.25}, 0.08),
+    "series_resistance": ({"resistance": 900.0}, 0.08),
+}
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    device = truth("integrated", seed=6)
+    return fit_device([device.simulate(_calibration("integrated"), seed=1)], "integrated").model
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_problem_finds_an_effect_of_the_ground_truth(name, calibrated):
+    values, tolerance = EFFECTS[name]
+    levels = np.r_[
+        damped_oscillation(np.linspace(3.68e-3, 8.49e-3, 9)), random_levels(3.68e-3, 8.49e-3, 150, seed=2)
+    ]
+    run = truth("integrated", seed=6, effects={name: values}).simulate(np.repeat(levels, 20), seed=5)
+    free = [f"effects.{name}.{parameter}" for parameter in values]
+    problem = Problem(calibrated, [on_grid(run)], ["thermal.time_constant", *free])
+    start = problem.start.copy()
+    for k, coordinate in enumerate(problem.coordinates[1:], start=1):
+        start[k] = np.log(0.05) if coordinate.logarithmic else coordinate.scale
+    found = problem.solve(start)
+    assert found.cost < 0.2 * np.sum(problem.residual(problem.start) ** 2)
+    model = problem.model_at(found.theta)
+    for parameter, value in values.items():
+        assert float(model.effects[name][parameter]) == pytest.approx(value, rel=tolerance)
+
+
+def test_problem_is_flat_at_the_neutral_value_and_columns_are_exact(calibrated):
+    """The forced feedback steps change nothing when every effect is neutral, and threads do not mix columns."""
+    run = truth("integrated", seed=6).simulate(
+        np.repeat(random_levels(3.68e-3, 8.49e-3, 60, seed=2), 10), seed=5
+    )
+    grid = on_grid(run)
+    plain = Problem(calibrated, [grid], ["thermal.time_constant"])
+    many = Problem(
+        calibrated,
+        [grid],
+        ["thermal.time_constant", "driver.dead_time", "deflection", "effects.latent_heat.latent"],
+    )
+    assert np.allclose(plain.residual(plain.start), many.residual(many.start), atol=1e-3)
+    one = Problem(calibrated, [grid], many.free, threads=1)
+    assert np.array_equal(many.jacobian(many.start), one.jacobian(one.start))
+    jacobian = many.jacobian(many.start)
+    assert jacobian.shape == (2 * len(run), many.start.size)
+    # the deflection bank reaches the deflection alone
+    half = len(run)
+    first = next(k for k, c in enumerate(many.coordinates) if c.name.startswith("deflection"))
+    assert np.all(jacobian[:half, first : first + 10] == 0.0)
+    assert np.any(jacobian[half:, first : first + 10] != 0.0)
+
+
+def test_problem_refuses_unknown_names(calibrated):
+    grid = on_grid(truth("integrated").simulate(np.linspace(4e-3, 8e-3, 50), seed=1))
+    for name, word in (("thermal.colour", "thermal.colour"), ("effects.creep.sharee", "sharee")):
+        with pytest.raises(ValueError, match=word):
+            Problem(calibrated, [grid], [name])
