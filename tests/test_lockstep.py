@@ -36,11 +36,11 @@ def run_loop(graph, conductor, model_file, bag, *, late=()):
 def contents(bag):
     """Topic -> (stamp, hash of the bytes) of every message, in order."""
     found = {}
-    messages, problems = raw_messages(bag)
-    assert not problems
-    for message in messages:
+    problems = []
+    for message in raw_messages(bag, problems):
         digest = hashlib.sha256(message.data).hexdigest()
-        found.setdefault(message.topic, []).append((message.log_time_ns, digest))
+        found.setdefault(message.channel.topic, []).append((message.log_time_ns, digest))
+    assert problems == []
     return found
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -78,6 +79,8 @@ class ControllerNode(Node):
         self._estimate: tuple[int, tuple[float, ...]] | None = None
         self._answer = b""
         self._inputs_since_tick = 0
+        self._designer: ThreadPoolExecutor | None = None
+        self._designing: Future[Controller] | None = None
         self._estimate_reader = SampleReader(ESTIMATE_CHANNELS)
         self._reference_reader = SampleReader(REFERENCE_CHANNELS)
         self._writer = SampleWriter(COMMAND_CHANNELS, self._table.text("preset"))
@@ -125,6 +128,7 @@ class ControllerNode(Node):
         self._inputs_since_tick += 1
         if self._table.revision != self._revision:
             self._rebuild()
+        self._take_over_designed()
         if self._order.jumped_back(stamp_ns):
             self._diagnostics.report(
                 "stamps", "warn", "the stamp jumped back: the loop starts anew", stamp_ns=stamp_ns
@@ -180,25 +184,47 @@ class ControllerNode(Node):
         )
 
     def _rebuild(self) -> None:
-        """Take over changed parameters; a law that cannot be designed leaves the present one at work."""
+        """Take over changed parameters; a law that cannot be designed leaves the present one at work.
+
+        Tuning for a model takes seconds. In lockstep time waits for it; in wall time it is done beside the
+        loop, which goes on with the former law.
+        """
         self._revision = self._table.revision
-        try:
-            self._law = self._design()
-        except ValueError as error:
-            self._diagnostics.report("design", "error", f"{error}; the former law stays")
+        if self._wall:
+            if self._designer is None:
+                self._designer = ThreadPoolExecutor(1)
+            self._designing = self._designer.submit(self._design)
             return
+        try:
+            self._take_over(self._design())
+        except ValueError as error:
+            self._refuse(error)
+
+    def _take_over_designed(self) -> None:
+        """Wall time: use the law that was designed beside the loop, once it is ready."""
+        if self._designing is None or not self._designing.done():
+            return
+        designing, self._designing = self._designing, None
+        try:
+            self._take_over(designing.result())
+        except ValueError as error:
+            self._refuse(error)
+
+    def _take_over(self, law: Controller) -> None:
+        self._law = law
         self._guard.needs_restart = True
         self._diagnostics.report("design", "ok", f"{self._table.text('kind')} designed anew")
+
+    def _refuse(self, error: ValueError) -> None:
+        self._diagnostics.report("design", "error", f"{error}; the former law stays")
 
     def _on_redesign(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._revision = self._table.revision
         try:
-            self._law = self._design()
+            self._take_over(self._design())
         except ValueError as error:
-            response.success = False
             response.message = f"refused: {error}; the former law stays"
             return response
-        self._guard.needs_restart = True
         response.success = True
         response.message = f"{self._table.text('kind')} designed from the present parameters"
         return response

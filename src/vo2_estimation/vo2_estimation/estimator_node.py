@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from vo2_models.parameters import Parameter
 from vo2_models.recording import RESISTANCE
-from vo2_models.self_sensing.scheme import KINDS, SelfSensing, self_sensing
 from vo2_plant_sim.interface.diagnostics import Diagnostics
 from vo2_plant_sim.interface.executable import run_nodes
 from vo2_plant_sim.interface.lockstep import StampOrder
@@ -28,14 +24,22 @@ from vo2_plant_sim.interface.topics import (
     SAMPLE_QOS,
 )
 
+from vo2_estimation.schemes import SCHEMES, Scheme, make_scheme
+
 __all__ = ["ESTIMATOR_PARAMETERS", "EstimatorNode", "main"]
 
 ESTIMATOR_PARAMETERS = (
     Parameter("preset", "integrated", "", "Device preset.", choices=PRESETS),
-    Parameter("kind", "composite", "", "Self-sensing scheme.", choices=KINDS),
+    Parameter(
+        "kind",
+        "composite",
+        "",
+        "Self-sensing scheme; drive predicts deflection and resistance from the drive alone.",
+        choices=SCHEMES,
+    ),
+    Parameter("drive_channel", "heater_voltage", "", "Channel that kind drive takes as its input."),
 )
 _NAN = float("nan")
-_NOTHING = (_NAN, _NAN, _NAN)
 _BEAT_SAMPLES = 1000
 _NO_MODEL = (
     "no model yet: every estimate is NaN; run the identifier (~/start), or load a file that it or fit wrote "
@@ -57,8 +61,7 @@ class EstimatorNode(Node):
         )
         preset = self._table.text("preset")
         self._diagnostics = Diagnostics(self, hardware_id=preset)
-        self._scheme: SelfSensing | None = None
-        self._state: NDArray[np.float64] = np.empty(0)
+        self._scheme: Scheme | None = None
         self._revision = -1
         self._order = StampOrder()
         self._count = 0
@@ -70,12 +73,14 @@ class EstimatorNode(Node):
         self._rebuild()
 
     def _on_measurement(self, data: bytes) -> None:
-        stamp_ns, (resistance,) = self._reader.read(data)
+        stamp_ns, (value,) = self._reader.read(data)
         if self._order.is_repeat(stamp_ns):
             self._publisher.publish(self._answer)
             return
         if self._table.revision != self._revision:
             self._rebuild(stamp_ns)
+            # the scheme may want another channel
+            stamp_ns, (value,) = self._reader.read(data)
         if self._order.jumped_back(stamp_ns):
             self._diagnostics.report(
                 "stamps",
@@ -84,33 +89,34 @@ class EstimatorNode(Node):
                 stamp_ns=stamp_ns,
             )
             if self._scheme is not None:
-                self._state = self._scheme.initial_state()
+                self._scheme.restart()
         self._order.accept(stamp_ns)
-        self._answer = self._writer.write(stamp_ns, self._estimate(stamp_ns, resistance))
+        self._answer = self._writer.write(stamp_ns, self._estimate(stamp_ns, value))
         self._publisher.publish(self._answer)
         self._count += 1
         if self._count % _BEAT_SAMPLES == 0:
             self._diagnostics.beat(stamp_ns)
 
-    def _estimate(self, stamp_ns: int, resistance: float) -> tuple[float, float, float]:
-        if self._scheme is None:
-            return _NOTHING
-        if not (math.isfinite(resistance) and resistance > 0.0):
-            if not self._reader.has(RESISTANCE):
+    def _estimate(self, stamp_ns: int, value: float) -> tuple[float, ...]:
+        scheme = self._scheme
+        if scheme is None:
+            return (_NAN,) * len(self._writer.channels)
+        if not scheme.usable(value):
+            channel = scheme.input_channel
+            if not self._reader.has(channel):
                 what = f"is absent (there are {', '.join(self._reader.names) or 'no channels'})"
             else:
-                what = f"is {resistance}"
+                what = f"is {value}"
             self._diagnostics.report(
                 "input",
                 "error",
-                f"{RESISTANCE} on {MEASUREMENT} {what}: need finite ohm above 0; the estimate is NaN until then",
+                f"{channel} on {MEASUREMENT} {what}: need {scheme.need}; the estimate is NaN until then",
                 stamp_ns=stamp_ns,
             )
-            return _NOTHING
+            return (_NAN,) * len(scheme.channels)
         if self._diagnostics.level("input") != "ok":
-            self._diagnostics.report("input", "ok", f"{RESISTANCE} is back", stamp_ns=stamp_ns)
-        deflection, _temperature, surrogate, bound = self._scheme.step(resistance, self._state)
-        return deflection, surrogate, bound
+            self._diagnostics.report("input", "ok", f"{scheme.input_channel} is back", stamp_ns=stamp_ns)
+        return scheme.step(value)
 
     def _rebuild(self, stamp_ns: int | None = None) -> None:
         """Take over changed parameters; the memory starts at the cold device, where every recording starts."""
@@ -122,11 +128,12 @@ class EstimatorNode(Node):
             self._diagnostics.report("model", "warn", _NO_MODEL, stamp_ns=stamp_ns)
             return
         try:
-            self._scheme = self_sensing(kind, given)
+            self._scheme = make_scheme(kind, self._table.text("drive_channel"), given)
         except ValueError as error:
             self._diagnostics.report("model", "error", f"{error}; every estimate is NaN", stamp_ns=stamp_ns)
             return
-        self._state = self._scheme.initial_state()
+        self._reader = SampleReader((self._scheme.input_channel,))
+        self._writer = SampleWriter(self._scheme.channels, self._table.text("preset"))
         self._diagnostics.report("model", "ok", f"{kind} scheme at work", stamp_ns=stamp_ns)
 
 

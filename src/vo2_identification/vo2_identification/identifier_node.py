@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +21,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
+from vo2_models.fitting.drive_fit import HOLD_OUT
 from vo2_models.model_file import save_model_parameters
 from vo2_models.parameters import Parameter, Value
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
@@ -50,13 +51,21 @@ IDENTIFIER_PARAMETERS = (
     *EXCITATION_PARAMETERS,
     Parameter("fit", True, "", "Fit after recording; off, the excitation is only played."),
     Parameter(
-        "fit_share", 1.0, "1", "Share of the recording, from its start, that the fit may use.", 0.01, 1.0
+        "drive_channel",
+        "",
+        "",
+        "For a device that no preset describes: the channel its laws are fitted over, such as heater_voltage.",
     ),
+    Parameter(
+        "drive_hold_out", "none", "", "Samples that fit does not see, for a later check.", choices=HOLD_OUT
+    ),
+    Parameter("drive_plays", 6, "1", "Plays of each of its laws.", 1, 100),
+    Parameter("drive_per_play", False, "", "Whether each of its plays has envelopes of its own."),
     Parameter("targets", ["estimator"], "", "Nodes that get the fitted model."),
     Parameter("model_file", "", "", "Where the fitted model is saved; empty for nowhere."),
     Parameter("quiet_s", 2.0, "s", "Listening ends after this much wall time without a sample.", 0.1, 1e4),
 )
-_CHANNELS = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
+_CHANNELS = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE, "heater_voltage")
 _POLL_S = 0.05
 _SERVICE_TIMEOUT_S = 10.0
 
@@ -194,12 +203,27 @@ class IdentifierNode(Node):
         if not self._table.flag("fit"):
             self._tell("done", f"recorded {len(recording)} samples", percent=100)
             return
-        share = self._table.number("fit_share")
-        part = recording.slice(0, max(2, round(share * len(recording))))
-        self._fit = _Fit(part, started_s=time.monotonic())
-        self._fit.thread = threading.Thread(target=_run_fit, args=(self._fit, self._preset), daemon=True)
-        self._tell("fitting", f"fitting {len(part)} samples")
+        self._fit = _Fit(recording, started_s=time.monotonic())
+        self._fit.thread = threading.Thread(target=_run_fit, args=(self._fit, self._fitting()), daemon=True)
+        self._tell("fitting", f"fitting {len(recording)} samples")
         self._fit.thread.start()
+
+    def _fitting(self) -> Callable[[Recording], Mapping[str, Value]]:
+        """Return the fit that the parameters ask for; its modules load when it runs."""
+        table, preset = self._table, self._preset
+        drive, hold_out = table.text("drive_channel"), table.text("drive_hold_out")
+        plays, per_play = int(table.number("drive_plays")), table.flag("drive_per_play")
+
+        def fit(recording: Recording) -> Mapping[str, Value]:
+            if drive:
+                from vo2_models.fitting.drive_fit import fit_drive
+
+                return fit_drive(recording, drive, hold_out=hold_out, plays=plays, per_play=per_play)  # type: ignore[arg-type]
+            from vo2_models.self_sensing import identify
+
+            return identify(recording, preset)
+
+        return fit
 
     # --- what follows the recording, polled -------------------------------------------------------
 
@@ -258,11 +282,9 @@ class IdentifierNode(Node):
         self._diagnostics.report("progress", level, text, values, stamp_ns=stamp_ns)
 
 
-def _run_fit(fit: _Fit, preset: str) -> None:
-    from vo2_models.self_sensing import identify
-
+def _run_fit(fit: _Fit, fitting: Callable[[Recording], Mapping[str, Value]]) -> None:
     try:
-        fit.model = dict(identify(fit.recording, preset))
+        fit.model = dict(fitting(fit.recording))
     except ValueError as error:
         fit.error = f"the recording cannot be fitted: {error}"
     except Exception as error:  # a thread has nobody above it: what it dies of must reach the operator

@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 from vo2_identification.demo.errors import PhaseData
 from vo2_identification.report.figures import COLOURS, LINES, figure_html, new_figure
 
-__all__ = ["identification_figure", "random_figure", "tracking_figure"]
+__all__ = ["identification_figure", "measured_figure", "random_figure", "tracking_figure"]
 
 _UM = 1e6
 _POINTS = 2500
@@ -99,3 +100,34 @@ def tracking_figure(signal: str, data: dict[str, PhaseData]) -> str:
 
 def _thinned(count: int) -> slice:
     return slice(0, count, max(1, count // _POINTS))
+
+
+def measured_figure(
+    title: str,
+    output: str,
+    drive: NDArray[np.float64],
+    measured: NDArray[np.float64],
+    predicted: NDArray[np.float64],
+    unseen: NDArray[np.bool_],
+) -> str:
+    """Return measured and predicted output over the drive, and over the sample number."""
+    with new_figure(height_in=3.0) as figure:
+        left, right = figure.subplots(1, 2)
+        scale, label = (1e-3, "resistance [kΩ]") if output == RESISTANCE else (_UM, "displacement [µm]")
+        index = np.arange(drive.size)
+        for axes, x in ((left, drive), (right, index)):
+            axes.plot(x, measured * scale, "-", color=COLOURS["true"], lw=1.2, label="measured")
+            for part, key, name in (
+                (~unseen, "fit", "predicted, seen"),
+                (unseen, "held_out", "predicted, held out"),
+            ):
+                axes.plot(x[part], predicted[part] * scale, ".", ms=1.5, color=COLOURS[key], label=name)
+            if output == RESISTANCE:
+                axes.set_yscale("log")
+            axes.set_ylabel(label)
+        left.set_xlabel("voltage [V]")
+        right.set_xlabel("sample")
+        left.legend(markerscale=4)
+        return figure_html(
+            figure, f"{title}: measured and predicted from the voltage by the estimator, on the replayed bag."
+        )

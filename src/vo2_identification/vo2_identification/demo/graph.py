@@ -14,7 +14,7 @@ from pathlib import Path
 from vo2_models.parameters import Value
 from vo2_plant_sim.interface.one_host import one_host_environment
 
-__all__ = ["Graph", "GraphError", "NodeProcess"]
+__all__ = ["MODULES", "NODES", "Graph", "GraphError", "NodeProcess"]
 
 MODULES = {
     "plant": "vo2_plant_sim.plant_node",
@@ -30,6 +30,8 @@ MODULES = {
 }
 """Executable -> module: the same code as `ros2 run`, without the search for entry points at every start."""
 
+NODES = ("plant", "estimator", "controller", "reference", "feedforward", "identifier")
+"""Executables that are one node each and can be renamed."""
 _END_S = 10.0
 
 
@@ -90,9 +92,11 @@ class Graph:
         """Start an executable as a process of its own; `arguments` go before the ROS arguments."""
         label = f"{namespace.strip('/').replace('/', '_')}_{name or executable}"
         command = [sys.executable, "-m", MODULES[executable], *arguments]
-        if executable not in ("record", "convert"):
-            command += ["--ros-args", "-r", f"__ns:={namespace}"]
-            if name:
+        if executable != "convert":
+            command += ["--ros-args"]
+            if executable in (*NODES, "loop"):
+                command += ["-r", f"__ns:={namespace}"]
+            if name and executable in NODES:
                 command += ["-r", f"__node:={name}"]
             for source, target in (remap or {}).items():
                 command += ["-r", f"{source}:={target}"]

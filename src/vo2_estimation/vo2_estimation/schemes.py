@@ -1,0 +1,127 @@
+"""What the estimator runs: self-sensing from the resistance, or open-loop prediction from the drive."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+from vo2_models.device.bank import PlayBank
+from vo2_models.hysteresis import EGPI
+from vo2_models.parameters import Value
+from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
+from vo2_models.self_sensing import KINDS, self_sensing
+from vo2_plant_sim.interface.topics import ESTIMATE_CHANNELS
+
+__all__ = ["DRIVE", "SCHEMES", "DriveScheme", "ResistanceScheme", "Scheme", "make_scheme"]
+
+DRIVE = "drive"
+SCHEMES = (*KINDS, DRIVE)
+
+
+class Scheme(Protocol):
+    """One measured channel in, the estimate's channels out.
+
+    Attributes
+    ----------
+    input_channel : what it needs of the measurement
+    need : which values of it are usable, in words
+    channels : what it estimates
+    """
+
+    input_channel: str
+    need: str
+    channels: tuple[str, ...]
+
+    def usable(self, value: float) -> bool:
+        """Whether the input can be used."""
+        ...
+
+    def step(self, value: float) -> tuple[float, ...]:
+        """Advance one sample; return the values of `channels`."""
+        ...
+
+    def restart(self) -> None:
+        """Forget: the next sample comes from a cold device."""
+        ...
+
+
+class ResistanceScheme:
+    """Self-sensing: deflection, temperature surrogate and bound from the film resistance."""
+
+    input_channel = RESISTANCE
+    need = "finite ohm above 0"
+    channels: tuple[str, ...] = ESTIMATE_CHANNELS
+
+    def __init__(self, kind: str, parameters: Mapping[str, Value]) -> None:
+        self._scheme = self_sensing(kind, parameters)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget: the next sample comes from a cold device."""
+        self._state = self._scheme.initial_state()
+
+    def usable(self, value: float) -> bool:
+        """Whether the resistance [ohm] can be used."""
+        return math.isfinite(value) and value > 0.0
+
+    def step(self, value: float) -> tuple[float, float, float]:
+        """Return (deflection [m], temperature surrogate [A], bound [m]) for the resistance [ohm]."""
+        deflection, _temperature, surrogate, bound = self._scheme.step(value, self._state)
+        return deflection, surrogate, bound
+
+
+class DriveScheme:
+    """Prediction of deflection and resistance from the drive, for rigs on which only one of them is measured.
+
+    Raises
+    ------
+    ValueError : the model has neither law.
+    """
+
+    need = "a finite number"
+    channels: tuple[str, ...] = (TIP_DEFLECTION, RESISTANCE)
+
+    def __init__(self, drive: str, parameters: Mapping[str, Value]) -> None:
+        self.input_channel = drive
+        self._laws = [_law(section, parameters) for section in ("model.deflection", "model.resistance")]
+        if not any(self._laws):
+            raise ValueError(
+                "model.deflection, model.resistance: found no law over the drive, need one; run the identifier with "
+                "drive_channel set"
+            )
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget: the next sample comes from lower saturation."""
+        self._states = [law.initial_state() if law else np.empty(0) for law in self._laws]
+
+    def usable(self, value: float) -> bool:
+        """Whether the drive can be used."""
+        return math.isfinite(value)
+
+    def step(self, value: float) -> tuple[float, float]:
+        """Return (deflection [m], resistance [ohm]) for the drive, NaN without its law."""
+        deflection, resistance = (
+            float(law.update(value, state)) if law else math.nan
+            for law, state in zip(self._laws, self._states, strict=True)
+        )
+        return deflection, 10.0**-resistance
+
+
+def make_scheme(kind: str, drive: str, parameters: Mapping[str, Value]) -> Scheme:
+    """Return the scheme `kind` for flat `model.*` parameters; `drive` names the input of kind `drive`.
+
+    Raises
+    ------
+    ValueError : unknown kind, or a model that lacks what the scheme needs.
+    """
+    if kind == DRIVE:
+        return DriveScheme(drive, parameters)
+    return ResistanceScheme(kind, parameters)
+
+
+def _law(section: str, parameters: Mapping[str, Value]) -> EGPI | None:
+    bank = PlayBank.from_parameters(section, parameters)
+    return bank.egpi() if bank.present and np.size(bank.weights) else None

@@ -1,0 +1,186 @@
+"""Act 6: other people's measurements: converted, replayed, identified from the replay, predicted where unseen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from vo2_models.fitting.drive_fit import HoldOut, held_out
+from vo2_models.parameters import Value
+from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
+
+from vo2_identification.bags import read_bag
+from vo2_identification.demo.figures import measured_figure
+from vo2_identification.demo.graph import GraphError
+from vo2_identification.demo.stage import Stage
+from vo2_identification.report.page import paragraph, section, table
+
+__all__ = ["run"]
+
+_DATA = Path("..") / "shared" / "data"
+
+
+@dataclass(frozen=True)
+class _Rig:
+    """One measured recording: which file, which map, which channel is predicted, what the fit does not see."""
+
+    name: str
+    title: str
+    file: str
+    map: str
+    output: str
+    rate: float
+    hold_out: HoldOut
+    fit: dict[str, Value]
+    remark: str
+
+
+_RIGS = (
+    _Rig(
+        "film",
+        "VO2 film on a source-meter (Galloni et al. 2024)",
+        "vo2_device/VO2_data_RvsV_transition.csv",
+        "vo2_device_sweep",
+        RESISTANCE,
+        300.0,
+        "blocks",
+        {"drive_plays": 6, "drive_per_play": True},
+        "A single loop of voltage and resistance, without deflection: the resistance is predicted from the voltage. Every "
+        "third block of ten samples was kept from the fit.",
+    ),
+    _Rig(
+        "piezo",
+        "Piezo actuator (Yan Naing Aye 2019)",
+        "piezo/Model_Vi_Do.dat",
+        "piezo",
+        TIP_DEFLECTION,
+        20.0,
+        "end",
+        {"drive_plays": 8},
+        "Voltage and displacement with many minor loops, without resistance: the displacement is predicted from the voltage. "
+        "The second half of the recording was kept from the fit.",
+    ),
+)
+
+
+def run(stage: Stage) -> None:
+    """Do it for each recording that is there; say which are not."""
+    parts = []
+    for rig in _RIGS:
+        source = _find(rig.file)
+        if source is None:
+            text = f"{rig.title}: skipped, {_DATA / rig.file} is not there (the data folder lies beside the checkout)."
+            stage.say(text)
+            parts.append(paragraph(text))
+            continue
+        stage.say(f"measured input: {rig.title}")
+        parts.append(_rig(stage, rig, source))
+    stage.sections.append(section("Measured input", *parts))
+
+
+def _find(file: str) -> Path | None:
+    """Look beside the folder that the demo runs in, and beside the checkout that holds this file."""
+    for base in (Path.cwd(), *Path(__file__).resolve().parents):
+        if (base / _DATA / file).exists():
+            return base / _DATA / file
+    return None
+
+
+def _rig(stage: Stage, rig: _Rig, source: Path) -> str:
+    graph, conductor = stage.graph, stage.conductor
+    folder, space = stage.folder / "measured", f"/measured_{rig.name}"
+    bag, predicted = folder / rig.name, folder / f"{rig.name}_predicted"
+    converting = graph.start(
+        "convert",
+        name=f"convert_{rig.name}",
+        arguments=["--map", rig.map, "--input", str(source), "--output", str(bag)],
+    )
+    drive = {"drive_channel": "heater_voltage"}
+    graph.start("estimator", namespace=space, parameters={"kind": "drive", **drive})
+    graph.start(
+        "identifier",
+        namespace=space,
+        parameters={
+            "excitation.kind": "listen",
+            "quiet_s": 0.5,
+            "drive_hold_out": rig.hold_out,
+            **drive,
+            **rig.fit,
+        },
+    )
+    recorder = graph.start(
+        "record",
+        name=f"record_{rig.name}",
+        arguments=["--output", str(predicted), "--topics", f"{space}/estimate"],
+    )
+    graph.wait(converting, 60.0)
+    conductor.wait_for_nodes([f"{space}/estimator", f"{space}/identifier"])
+    status = f"{space.strip('/')}/identifier: progress"
+    conductor.trigger(f"{space}/identifier/start")
+    _replay(stage, rig, bag, space)
+    conductor.wait_for(
+        f"the model of {rig.name}", lambda: conductor.value(status, "state") in ("done", "failed"), 60.0
+    )
+    if conductor.value(status, "state") != "done":
+        raise GraphError(f"{rig.name}: {conductor.statuses[status][1]}")
+    _replay(stage, rig, bag, space)
+    conductor.pause(0.3)
+    graph.end(recorder)
+    graph.end()
+    measurement = read_bag(bag, roles=("measurement",))[0]["measurement"]
+    estimate = read_bag(predicted, namespace=space, roles=("estimate",))[0]["estimate"]
+    mask = held_out(measurement["heater_voltage"], rig.hold_out)
+    found = estimate[rig.output][-len(measurement) :]
+    return _evaluate(stage, rig, measurement["heater_voltage"], measurement[rig.output], found, mask)
+
+
+def _replay(stage: Stage, rig: _Rig, bag: Path, space: str) -> None:
+    replay = stage.graph.start(
+        "replay",
+        name=f"replay_{rig.name}",
+        arguments=[str(bag), "--rate", f"{rig.rate:g}"],
+        remap={"/vo2/measurement": f"{space}/measurement"},
+    )
+    stage.graph.wait(replay, 60.0)
+
+
+def _evaluate(
+    stage: Stage,
+    rig: _Rig,
+    drive: NDArray[np.float64],
+    measured: NDArray[np.float64],
+    predicted: NDArray[np.float64],
+    unseen: NDArray[np.bool_],
+) -> str:
+    if predicted.size != measured.size or not np.all(np.isfinite(predicted)):
+        raise GraphError(
+            f"{rig.name}: {np.sum(np.isfinite(predicted))} predictions for {measured.size} samples"
+        )
+    # resistance is judged in decades, deflection in micrometres
+    if rig.output == RESISTANCE:
+        error, span, unit = np.log10(predicted / measured), float(np.ptp(np.log10(measured))), "log10 Ω"
+    else:
+        error, span, unit = (predicted - measured) * 1e6, float(np.ptp(measured)) * 1e6, "µm"
+    rows, metrics = [], {}
+    for label, key, part in (("seen by the fit", "fit", ~unseen), ("held out", "held_out", unseen)):
+        mean, largest = float(np.mean(np.abs(error[part]))), float(np.max(np.abs(error[part])))
+        rows.append(
+            [
+                label,
+                str(np.sum(part)),
+                f"{mean:.4f}",
+                f"{100 * mean / span:.2f}",
+                f"{100 * largest / span:.2f}",
+            ]
+        )
+        metrics[f"{key}_mae"] = round(mean, 6)
+        metrics[f"{key}_mae_percent"] = round(100 * mean / span, 4)
+    stage.metrics.setdefault("measured", {})[rig.name] = {"unit": unit, **metrics}
+    header = ["part", "samples", f"mean |error| [{unit}]", "[% of range]", "largest [% of range]"]
+    return (
+        table(f"{rig.title}: prediction of {rig.output}", header, rows)
+        + measured_figure(rig.title, rig.output, drive, measured, predicted, unseen)
+        + paragraph(rig.remark)
+    )
