@@ -6,8 +6,10 @@ The deflection is measured once under the damped oscillation of level 30 and one
 term of (4.19); a part of these 467 outputs is then used, drawn anew in each run. As in section 4.4, what all outputs
 give counts as the true density, and "CS Order" takes its order from all of them: an oracle. Unlike the
 independent densities of section 4.3 (`monte_carlo`), those of a device are concentrated in a peak: with the oracle
-order CS has well under half of the error of least squares, as published; without it CS is worse, not better.
-Least squares is at its worst where the one sample outside the walls is not among those measured.
+order CS has well under half of the error of least squares; without it CS is worse, not better. If the sample
+outside the walls is always among those measured, the ratios of modelling errors of CS Order and CS Order
+Non-negative come near the published ones (with --runs 6: 0.24 and 0.17, published 0.25 and 0.13): the linear term then
+hangs on that sample, and non-negative densities cannot make up for its error. Left to chance they are 0.5 and 0.4.
 """
 
 from __future__ import annotations
@@ -58,9 +60,20 @@ class CompressiveDeviceStudy:
 
 
 def compressive_device_study(
-    measurements: Sequence[int] = tuple(range(100, 451, 50)), *, runs: int = 10, seed: int = 0
+    measurements: Sequence[int] = tuple(range(100, 451, 50)),
+    *,
+    runs: int = 10,
+    seed: int = 0,
+    outside_always: bool = False,
 ) -> CompressiveDeviceStudy:
     """Identify (4.19) from parts of one recording of a simulated device.
+
+    Parameters
+    ----------
+    measurements : numbers of outputs used
+    runs : choices of outputs per number; the dissertation has 1000
+    seed : of the device and the choices
+    outside_always : measure the sample outside the walls in every run, instead of by chance
 
     Raises
     ------
@@ -93,7 +106,9 @@ def compressive_device_study(
     }
     for point, count in enumerate(measurements):
         for _ in range(runs):
-            rows = np.sort(rng.choice(measured.size, count, replace=False))
+            rows = np.sort(rng.choice(measured.size - outside_always, count - outside_always, replace=False))
+            if outside_always:
+                rows = np.append(rows, measured.size - 1)
             wide = nnls(np.hstack([matrix[rows], -matrix[rows][:, cells:]]), measured[rows])[0]
             plain = wide[: cells + 2].copy()
             plain[cells:] -= wide[cells + 2 :]
@@ -123,8 +138,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--runs", type=int, default=10, help="per number of measurements (dissertation: 1000)"
     )
     parser.add_argument("--seed", type=int, default=0, help="of the device and the choices")
+    parser.add_argument(
+        "--outside-always", action="store_true", help="always measure the sample outside the walls"
+    )
     chosen = parser.parse_args(arguments)
-    study = compressive_device_study(runs=chosen.runs, seed=chosen.seed)
+    study = compressive_device_study(runs=chosen.runs, seed=chosen.seed, outside_always=chosen.outside_always)
     for measure, table in study.errors.items():
         print(f"\nmean RMSE, {measure}")
         print("  measurements " + "".join(f"{name:>24}" for name in METHODS))
