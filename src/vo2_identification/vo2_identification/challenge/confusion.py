@@ -84,7 +84,7 @@ def confusion_png(judgements: Sequence[Judgement]) -> bytes:
     axes = figure.add_subplot()
     share = matrix / np.maximum(matrix.sum(axis=1, keepdims=True), 1)
     # cividis: reads the same with colour-vision deficiency and in grey
-    image = axes.imshow(share, cmap="cividis_r", vmin=0, vmax=1, aspect="auto")
+    image = axes.imshow(np.where(matrix > 0, share, np.nan), cmap="cividis_r", vmin=0, vmax=1, aspect="auto")
     for k, row in enumerate(rows):
         for m, column in enumerate(columns):
             if matrix[k, m]:

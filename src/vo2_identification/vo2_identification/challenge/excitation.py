@@ -87,7 +87,7 @@ class _Profile:
 
 
 def calibration_current(rng: np.random.Generator, preset: Preset) -> Array:
-    """Return commanded currents [A] (n,): quasi-static damped oscillation, then steps and a chirp.
+    """Return commanded currents [A] (n,): cold rest, quasi-static damped oscillation, then steps and a chirp.
 
     `integrated` dwells 10 ms on each level (5.5 time constants); `peltier`, whose stage temperature is measured,
     is led along slow ramps instead.
@@ -96,6 +96,7 @@ def calibration_current(rng: np.random.Generator, preset: Preset) -> Array:
     quick = profile.quick
     cycles = 14 if quick else 12
     low, high = profile.ends
+    profile.pieces.append(np.zeros(60))  # cold rest: the history before the recording is known
     profile.level(profile.at(low), 60)
     place = low
     for k in range(cycles):
