@@ -7,6 +7,7 @@ import pytest
 
 MODULES = [
     "excitation",
+    "preisach",
     "preisach.operator",
     "preisach.signed_area",
     "preisach.inverse",

@@ -1,7 +1,30 @@
 """The Preisach family: operator, inverses, identification, compressive sensing, compression.
 
-Nothing is loaded before it is used: `from vo2_models.preisach import PreisachOperator` loads the operator
-and its compiled kernels only.
+- `operator`, `memory`, `grid`: the operator with piecewise-constant density, its state, its cells;
+  `kernels` holds the compiled step, for other compiled loops
+- `inverse`: the exact inverse of a monotone operator
+- `nonmonotonic`, `nonmonotonic_inverse`, `beam`, `polynomial`: chapter 5
+- `signed_area`, `damped`, `least_squares`, `nnls`, `smooth_fit`: identification
+- `compressive_sensing`, `basis_pursuit`: identification from few measurements, chapter 4
+- `compression`: coarser grids with least loss of information, chapter 2
+- `monte_carlo`, `compressive_device_study`, `compression_study`, `nonmonotonic_study`, `measured_study`: the
+  comparisons of chapters 2, 4 and 5 and the measured recordings; each is a command, `python -m ...`
+
+Nothing is loaded before it is used:
+
+>>> import numpy as np
+>>> from vo2_models.excitation import damped_oscillation
+>>> from vo2_models.preisach import PreisachInverse, PreisachOperator, fit_preisach
+>>> walls = np.linspace(30.0, 80.0, 11)
+>>> device = PreisachOperator(walls, np.full(55, 0.01), bias=2.0)
+>>> temperature = damped_oscillation(walls)
+>>> found = fit_preisach(temperature, device(temperature), walls)
+>>> bool(np.max(np.abs(found.operator.density - device.density)) < 1e-12)
+True
+>>> drive, state = PreisachInverse(found.operator), found.operator.saturated()
+>>> degc, reached = drive.update(2.0, state)
+>>> round(degc, 3), reached
+(65.355, True)
 """
 
 from importlib import import_module

@@ -58,11 +58,11 @@ class PreisachOperator:
     compiled: tuple[Floats, Floats, Floats, NDArray[np.int64], float] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        walls = checked_walls(self.walls)
+        # copies: the compiled tables must not fall behind an array that the caller changes later
+        walls = checked_walls(self.walls).copy()
         level = walls.size - 1
         density = finite_array(self.density, "density", ndim=(1, 2))
-        if density.ndim == 1:
-            density = unpack(density)
+        density = unpack(density) if density.ndim == 1 else density.copy()
         if density.shape != (level, level):
             raise ValueError(
                 f"density: found level {density.shape}, need {(level, level)} for {walls.size} walls"
