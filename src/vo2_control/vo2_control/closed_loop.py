@@ -82,10 +82,10 @@ def _run(
     x, play_r, play_d, metallic, line, sensors, sensor_lines,
     sensing, first, second, scales, table, memory,
     a, b, cc, d, conditioning, squared, lower, upper, most, state,
-    reference, ahead, disturbance, normals, out,
+    reference, ahead, disturbance, normals, command, sample, out,
 ):  # fmt: skip
-    command = np.empty(1)
-    sample = np.empty((1, chain.COLUMNS))
+    # command (1,) and sample (1, COLUMNS) come from outside: the chain borrows its arrays, and the compiler would
+    # take stores into one allocated here for dead
     current = state[-1]
     for k in range(reference.size):
         command[0] = current + disturbance[k]
@@ -155,7 +155,7 @@ def run_loop(
         *_packed(sensing),
         law.a, law.b, law.c, law.d, law.conditioning, law.coordinate == "heating_power",
         limits.lower_a, limits.upper_a, limits.rate_a_per_s * period, controller.state,
-        reference, ahead, disturbance, normals, out,
+        reference, ahead, disturbance, normals, np.empty(1), np.empty((1, chain.COLUMNS)), out,
     )  # fmt: skip
     return LoopResult(
         np.arange(float(reference.size)) * period, reference, *(out[:, k].copy() for k in range(4))
