@@ -142,7 +142,6 @@ def deflection_model() -> EGPI:
         Linear(-8.8743),
         143.29,
         input_range=(3.68, 8.49),
-        on_disorder="warn",
     )
 
 
