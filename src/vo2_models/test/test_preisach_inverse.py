@@ -245,3 +245,25 @@ def test_sections_5_3_and_5_4_on_a_simulated_device():
     assert study.most_temperatures <= 2
     with pytest.raises(ValueError, match=r"devices: found 0"):
         nonmonotonic_study(devices=0)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(seed=SEED, level=st.integers(1, 15))
+def test_nonmonotonic_inverse_stops_at_the_first_crossing(seed, level):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng, level)
+    inverse = NonMonotonicInverse(model)
+    low, high = model.operator.walls[[0, -1]]
+    span = inverse.maximum[1] - inverse.minimum[1]
+    for _ in range(4):
+        state = model.operator.memory(rng.uniform(low, high, 8))
+        start = float(state.array[1])
+        before = float(state.array[2]) + float(model.expansion(start))
+        target = float(rng.uniform(inverse.minimum[1], inverse.maximum[1]))
+        found = inverse.update(target, state.copy())
+        path = [start, *found.temperatures]
+        last = np.linspace(path[-2], path[-1], 300)
+        outputs = model.run(np.r_[path[1:-1], last], state)[0][len(path) - 2 :]
+        # on the way to the target the output stays on the side it comes from
+        side = np.sign(target - (before if len(path) == 2 else outputs[0]))
+        assert np.all(side * (target - outputs[:-1]) >= -1e-9 * span)
