@@ -148,7 +148,9 @@ def informative_current(rng: np.random.Generator, preset: Preset, samples: int =
         stretch = 1.7 - float(turn)
         profile.ramp(float(turn), round(90 * stretch + 10) if quick else round(60 * stretch + 20))
         profile.ramp(1.7, round(90 * stretch + 10) if quick else round(105 * stretch + 20))
-    for place in (HOT, -profile.branch, COLD):
+    # a slow stage undershoots at the chirp's start: begin it higher on the cooling branch
+    inside = -profile.branch + (0.0 if quick else 0.25)
+    for place in (HOT, inside, COLD):
         profile.ramp(place, 80 if quick else 160)
         if quick:
             profile.chirp(5.0, 0.004, 0.42, 480)
