@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,16 @@ from vo2_identification.bags import read_bag
 from vo2_identification.bags.reading import KNOWN_CHANNELS
 from vo2_identification.demo.stage import Phase
 
-__all__ = ["LEAD_SHARE", "TRUE_DEFLECTION", "PhaseData", "estimation_error", "phase_data", "tracking_error"]
+__all__ = [
+    "LEAD_SHARE",
+    "TRUE_DEFLECTION",
+    "PhaseData",
+    "estimation_error",
+    "loop_recordings",
+    "phase_data",
+    "recording_part",
+    "tracking_error",
+]
 
 TRUE_DEFLECTION = "true_tip_deflection"
 LEAD_SHARE = 0.05
@@ -42,29 +52,26 @@ class PhaseData:
     current_a: NDArray[np.float64]
 
 
-def phase_data(bag: Path, phase: Phase, *, estimates: str = "") -> PhaseData:
-    """Read one phase of a bag.
+def loop_recordings(bag: Path, namespace: str) -> dict[str, Recording]:
+    """Read all samples of one loop, with what only a simulated device tells."""
+    return read_bag(bag, namespace=namespace, channels=(*KNOWN_CHANNELS, TRUE_DEFLECTION))[0]
+
+
+def phase_data(recordings: Mapping[str, Recording], phase: Phase) -> PhaseData:
+    """Cut one phase out of the recordings of a loop.
 
     Parameters
     ----------
-    bag : the recording
+    recordings : role -> recording, from `loop_recordings`
     phase : which stretch of it
-    estimates : namespace of the estimates where it is not that of the phase
 
     Raises
     ------
-    ValueError : a sample is missing; the message says where.
+    ValueError : a topic or a sample is missing; the message says where.
     """
-    recordings, problems = read_bag(
-        bag, namespace=phase.namespace, channels=(*KNOWN_CHANNELS, TRUE_DEFLECTION)
-    )
-    if estimates:
-        recordings |= read_bag(bag, namespace=estimates, roles=("estimate",))[0]
     missing = {"measurement", "estimate"} - set(recordings)
     if missing:
-        raise ValueError(
-            f"{bag}: found no {' and no '.join(sorted(missing))} in {phase.namespace} ({problems[:2]})"
-        )
+        raise ValueError(f"{phase.namespace}: found no {' and no '.join(sorted(missing))} in the bag")
     measurement = recordings["measurement"]
     period = measurement.sample_period_s
     # the first sample of a phase was measured before its first command
@@ -82,7 +89,7 @@ def phase_data(bag: Path, phase: Phase, *, estimates: str = "") -> PhaseData:
         if required and not np.all(there):
             at = wanted[np.flatnonzero(~there)[0]]
             raise ValueError(
-                f"{bag}: {phase.name}: {role} lacks {np.sum(~there)} samples, the first at {at:.6f} s"
+                f"{phase.namespace}, {phase.name}: {role} lacks {np.sum(~there)} samples, the first at {at:.6f} s"
             )
         return np.where(there, recording[name][place], np.nan)
 

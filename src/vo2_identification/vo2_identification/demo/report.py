@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from vo2_models.device.model import DeviceModel
-from vo2_models.recording import COMMANDED_CURRENT
+from vo2_models.recording import HEATER_CURRENT
 from vo2_plant_sim.interface.model import operating_point
 
-from vo2_identification.bags import read_recording
+from vo2_identification.bags.reading import commanded_current
 from vo2_identification.demo.acts.tracking import SIGNALS
 from vo2_identification.demo.errors import recording_part
 from vo2_identification.demo.figures import identification_figure, random_figure, tracking_figure
@@ -80,10 +80,12 @@ def _errors(stage: Stage) -> str:
 
 def _identification(stage: Stage) -> str:
     phase = next(each for each in stage.phases if each.name == "identification")
-    recording = recording_part(read_recording(stage.bag)[0], phase.start_s, phase.end_s)
+    recording = recording_part(stage.recordings[phase.namespace]["measurement"], phase.start_s, phase.end_s)
+    command = stage.recordings[phase.namespace]["command"]
+    commanded = commanded_current(command.time_s, command[HEATER_CURRENT], recording.time_s)[1:]
     recording = recording.slice(1, len(recording))
     model = DeviceModel.load(stage.model_file)
-    simulated = model.simulate(recording[COMMANDED_CURRENT], dt=recording.sample_period_s, noise=False)
+    simulated = model.simulate(commanded, dt=recording.sample_period_s, noise=False)
     return section(
         "Identification",
         identification_figure(recording, simulated),

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from vo2_models.recording import Recording
+
 from vo2_identification.demo.conductor import Conductor
 from vo2_identification.demo.graph import Graph
 
@@ -44,6 +46,7 @@ class Stage:
     phases : what was recorded when
     metrics : what goes into metrics.json
     sections : HTML sections of the report, in order
+    recordings : namespace -> role -> what the bag holds
     data : (scheme, phase) -> samples, for the figures
     """
 
@@ -56,6 +59,7 @@ class Stage:
     phases: list[Phase] = field(default_factory=list)
     metrics: dict[str, Any] = field(default_factory=dict)
     sections: list[str] = field(default_factory=list)
+    recordings: dict[str, dict[str, Recording]] = field(default_factory=dict)
     data: dict[tuple[str, str], Any] = field(default_factory=dict)
     started: float = field(default_factory=time.monotonic)
 

@@ -9,7 +9,13 @@ from vo2_plant_sim.interface.model import operating_point
 from vo2_identification.bags import read_bag
 from vo2_identification.demo.acts.loops import COMPOSITE, POLYNOMIAL, SIDE_ESTIMATE
 from vo2_identification.demo.acts.tracking import SIGNALS
-from vo2_identification.demo.errors import estimation_error, phase_data, recording_part, tracking_error
+from vo2_identification.demo.errors import (
+    estimation_error,
+    loop_recordings,
+    phase_data,
+    recording_part,
+    tracking_error,
+)
 from vo2_identification.demo.stage import Phase, Stage
 
 __all__ = ["run"]
@@ -25,14 +31,18 @@ def run(stage: Stage) -> None:
     stage.graph.end()
     span = operating_point(stage.preset).deflection_range_m
     found = {phase.name: phase for phase in stage.phases if phase.namespace == COMPOSITE}
-    side = SIDE_ESTIMATE.rsplit("/", 1)[0]
+    for space in (COMPOSITE, POLYNOMIAL):
+        stage.recordings[space] = loop_recordings(stage.bag, space)
+    side = read_bag(stage.bag, namespace=SIDE_ESTIMATE.rsplit("/", 1)[0], roles=("estimate",))[0]
     for scheme, space in (("composite", COMPOSITE), ("polynomial", POLYNOMIAL)):
-        data = phase_data(stage.bag, found["random"], estimates="" if space == COMPOSITE else side)
+        # the random levels were played to the composite loop, with both schemes listening
+        random = {**stage.recordings[COMPOSITE], **(side if space == POLYNOMIAL else {})}
+        data = phase_data(random, found["random"])
         stage.data[scheme, "random"] = data
         errors = {"random": estimation_error(data)}
         for phase in stage.phases:
             if phase.namespace == space and phase.name in SIGNALS:
-                stage.data[scheme, phase.name] = phase_data(stage.bag, phase)
+                stage.data[scheme, phase.name] = phase_data(stage.recordings[space], phase)
                 errors[_KEYS[phase.name]] = tracking_error(stage.data[scheme, phase.name])
         metrics: dict[str, float] = {}
         for name, error in errors.items():
@@ -46,7 +56,7 @@ def _replay(stage: Stage, first: Phase, last: Phase) -> None:
     """Play the recorded measurements to a new estimator; its estimates must be the recorded ones, bit for bit."""
     stage.say("replaying the bag to a new estimator")
     graph, copy = stage.graph, stage.folder / "bag_replayed"
-    recordings, _ = read_bag(stage.bag, namespace=COMPOSITE, roles=("measurement", "estimate"))
+    recordings = stage.recordings[COMPOSITE]
     period = recordings["measurement"].sample_period_s
     graph.start(
         "estimator",

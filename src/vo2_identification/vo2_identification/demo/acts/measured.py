@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from vo2_models.fitting.drive_fit import HoldOut, held_out
 from vo2_models.parameters import Value
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
@@ -35,6 +34,11 @@ class _Rig:
     hold_out: HoldOut
     fit: dict[str, Value]
     remark: str
+
+    @property
+    def space(self) -> str:
+        """Namespace of its nodes."""
+        return f"/measured_{self.name}"
 
 
 _RIGS = (
@@ -66,17 +70,20 @@ _RIGS = (
 
 
 def run(stage: Stage) -> None:
-    """Do it for each recording that is there; say which are not."""
+    """Do it for the recordings that are there, side by side; say which are not."""
     parts = []
+    found = []
     for rig in _RIGS:
         source = _find(rig.file)
         if source is None:
             text = f"{rig.title}: skipped, {_DATA / rig.file} is not there (the data folder lies beside the checkout)."
             stage.say(text)
             parts.append(paragraph(text))
-            continue
-        stage.say(f"measured input: {rig.title}")
-        parts.append(_rig(stage, rig, source))
+        else:
+            found.append((rig, source))
+    if found:
+        stage.say(f"measured input, converted and replayed: {'; '.join(rig.title for rig, _ in found)}")
+        parts += _side_by_side(stage, found)
     stage.sections.append(section("Measured input", *parts))
 
 
@@ -88,20 +95,41 @@ def _find(file: str) -> Path | None:
     return None
 
 
-def _rig(stage: Stage, rig: _Rig, source: Path) -> str:
+def _side_by_side(stage: Stage, found: list[tuple[_Rig, Path]]) -> list[str]:
     graph, conductor = stage.graph, stage.conductor
-    folder, space = stage.folder / "measured", f"/measured_{rig.name}"
-    bag, predicted = folder / rig.name, folder / f"{rig.name}_predicted"
-    converting = graph.start(
-        "convert",
-        name=f"convert_{rig.name}",
-        arguments=["--map", rig.map, "--input", str(source), "--output", str(bag)],
-    )
+    rigs = [rig for rig, _ in found]
+    folder = stage.folder / "measured"
+    for rig, source in found:
+        arguments = ["--map", rig.map, "--input", str(source), "--output", str(folder / rig.name)]
+        graph.start("convert", name=f"convert_{rig.name}", arguments=arguments)
+        _start_nodes(stage, rig)
+    conductor.wait_for_nodes([f"{rig.space}/{node}" for rig in rigs for node in ("estimator", "identifier")])
+    for process in [each for each in graph.processes if "convert" in each.name]:
+        graph.wait(process, 60.0)
+    for rig in rigs:
+        conductor.trigger(f"{rig.space}/identifier/start")
+    _replay(stage, rigs)
+    for rig in rigs:
+        status = f"{rig.space.strip('/')}/identifier: progress"
+
+        def ended(status: str = status) -> bool:
+            return conductor.value(status, "state") in ("done", "failed")
+
+        conductor.wait_for(f"the model of {rig.name}", ended, 90.0)
+        if conductor.value(status, "state") != "done":
+            raise GraphError(f"{rig.name}: {conductor.statuses[status][1]}")
+    _replay(stage, rigs)
+    conductor.pause(0.3)
+    graph.end()
+    return [_evaluate(stage, rig) for rig in rigs]
+
+
+def _start_nodes(stage: Stage, rig: _Rig) -> None:
     drive = {"drive_channel": "heater_voltage"}
-    graph.start("estimator", namespace=space, parameters={"kind": "drive", **drive})
-    graph.start(
+    stage.graph.start("estimator", namespace=rig.space, parameters={"kind": "drive", **drive})
+    stage.graph.start(
         "identifier",
-        namespace=space,
+        namespace=rig.space,
         parameters={
             "excitation.kind": "listen",
             "quiet_s": 0.5,
@@ -110,50 +138,39 @@ def _rig(stage: Stage, rig: _Rig, source: Path) -> str:
             **rig.fit,
         },
     )
-    recorder = graph.start(
+    predicted = stage.folder / "measured" / f"{rig.name}_predicted"
+    stage.graph.start(
         "record",
         name=f"record_{rig.name}",
-        arguments=["--output", str(predicted), "--topics", f"{space}/estimate"],
+        arguments=["--output", str(predicted), "--topics", f"{rig.space}/estimate"],
     )
-    graph.wait(converting, 60.0)
-    conductor.wait_for_nodes([f"{space}/estimator", f"{space}/identifier"])
-    status = f"{space.strip('/')}/identifier: progress"
-    conductor.trigger(f"{space}/identifier/start")
-    _replay(stage, rig, bag, space)
-    conductor.wait_for(
-        f"the model of {rig.name}", lambda: conductor.value(status, "state") in ("done", "failed"), 60.0
-    )
-    if conductor.value(status, "state") != "done":
-        raise GraphError(f"{rig.name}: {conductor.statuses[status][1]}")
-    _replay(stage, rig, bag, space)
-    conductor.pause(0.3)
-    graph.end(recorder)
-    graph.end()
-    measurement = read_bag(bag, roles=("measurement",))[0]["measurement"]
-    estimate = read_bag(predicted, namespace=space, roles=("estimate",))[0]["estimate"]
-    mask = held_out(measurement["heater_voltage"], rig.hold_out)
-    found = estimate[rig.output][-len(measurement) :]
-    return _evaluate(stage, rig, measurement["heater_voltage"], measurement[rig.output], found, mask)
 
 
-def _replay(stage: Stage, rig: _Rig, bag: Path, space: str) -> None:
-    replay = stage.graph.start(
-        "replay",
-        name=f"replay_{rig.name}",
-        arguments=[str(bag), "--rate", f"{rig.rate:g}"],
-        remap={"/vo2/measurement": f"{space}/measurement"},
-    )
-    stage.graph.wait(replay, 60.0)
+def _replay(stage: Stage, rigs: list[_Rig]) -> None:
+    """Play the converted bags to the nodes of their rigs."""
+    playing = [
+        stage.graph.start(
+            "replay",
+            name=f"replay_{rig.name}",
+            arguments=[str(stage.folder / "measured" / rig.name), "--rate", f"{rig.rate:g}"],
+            remap={"/vo2/measurement": f"{rig.space}/measurement"},
+        )
+        for rig in rigs
+    ]
+    for process in playing:
+        stage.graph.wait(process, 90.0)
 
 
-def _evaluate(
-    stage: Stage,
-    rig: _Rig,
-    drive: NDArray[np.float64],
-    measured: NDArray[np.float64],
-    predicted: NDArray[np.float64],
-    unseen: NDArray[np.bool_],
-) -> str:
+def _evaluate(stage: Stage, rig: _Rig) -> str:
+    folder = stage.folder / "measured"
+    recording = read_bag(folder / rig.name, roles=("measurement",))[0]["measurement"]
+    estimate = read_bag(folder / f"{rig.name}_predicted", namespace=rig.space, roles=("estimate",))[0][
+        "estimate"
+    ]
+    drive, measured = recording["heater_voltage"], recording[rig.output]
+    unseen = held_out(drive, rig.hold_out)
+    # the first pass was heard before there was a model
+    predicted = estimate[rig.output][-len(recording) :]
     if predicted.size != measured.size or not np.all(np.isfinite(predicted)):
         raise GraphError(
             f"{rig.name}: {np.sum(np.isfinite(predicted))} predictions for {measured.size} samples"

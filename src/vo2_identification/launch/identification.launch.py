@@ -1,0 +1,48 @@
+"""Plant, estimator and identifier; call `/vo2/identifier/start` (std_srvs/srv/Trigger) to identify the device."""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the launch description."""
+    space = LaunchConfiguration("namespace")
+    preset = LaunchConfiguration("preset")
+    seed = ParameterValue(LaunchConfiguration("seed"), value_type=int)
+    model = ParameterValue(LaunchConfiguration("model_file"), value_type=str)
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("namespace", default_value="/vo2", description="Namespace of the loop."),
+            DeclareLaunchArgument(
+                "preset", default_value="integrated", description="Device preset: integrated or peltier."
+            ),
+            DeclareLaunchArgument("seed", default_value="1", description="Seed of the simulated device."),
+            DeclareLaunchArgument(
+                "model_file", default_value="model.yaml", description="Where the model is saved."
+            ),
+            Node(
+                package="vo2_plant_sim",
+                executable="plant",
+                namespace=space,
+                parameters=[{"preset": preset, "seed": seed}],
+                output="screen",
+            ),
+            Node(
+                package="vo2_estimation",
+                executable="estimator",
+                namespace=space,
+                parameters=[{"preset": preset}],
+                output="screen",
+            ),
+            Node(
+                package="vo2_identification",
+                executable="identifier",
+                namespace=space,
+                parameters=[{"preset": preset, "model_file": model}],
+                output="screen",
+            ),
+        ]
+    )
