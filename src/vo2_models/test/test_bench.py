@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from vo2_models.bench import Entry, Figure
+from vo2_models.bench import Entry, Figure, runner
 from vo2_models.bench.runner import entries, main, select, table
 from vo2_models.bench.timing import aligned, alternate, compiled_c, pointer
 
@@ -33,7 +33,31 @@ def test_a_further_module_adds_entries(tmp_path, monkeypatch):
     }
 
 
-def test_unusable_input_is_one_line_and_status_2(capsys, tmp_path):
+def test_other_packages_of_the_workspace_add_entries(tmp_path, monkeypatch, capsys):
+    for name, text in (
+        (
+            "bench_here",
+            "from vo2_models.bench import Entry, Figure\nENTRIES = (Entry('far', lambda: Figure(3.0, 's')),)\n",
+        ),
+        ("bench_broken", "import no_such_middleware\n"),
+        ("other", "raise RuntimeError('must not be imported')\n"),
+    ):
+        folder = tmp_path / "vo2_elsewhere"
+        folder.mkdir(exist_ok=True)
+        (folder / "__init__.py").touch()
+        (folder / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    ours = [name for name in runner.companions() if name.startswith("vo2_elsewhere.")]
+    assert ours == ["vo2_elsewhere.bench_broken", "vo2_elsewhere.bench_here"]
+    monkeypatch.setattr(runner, "companions", lambda: ours)
+    assert main(["--only", "far"]) == 0
+    shown = capsys.readouterr()
+    assert "far" in shown.out
+    assert "bench: vo2_elsewhere.bench_broken left out: No module named 'no_such_middleware'" in shown.err
+
+
+def test_unusable_input_is_one_line_and_status_2(capsys, monkeypatch):
+    monkeypatch.setattr(runner, "companions", list)
     assert main(["--only", "nothing_like_it"]) == 2
     assert main(["--also", "no_such_module_anywhere"]) == 2
     lines = capsys.readouterr().err.splitlines()

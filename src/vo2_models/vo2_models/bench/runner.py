@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import importlib.util
 import json
 import os
 import pkgutil
@@ -14,7 +15,7 @@ from types import ModuleType
 
 from vo2_models.bench.entry import Entry, Figure
 
-__all__ = ["entries", "main", "select", "table"]
+__all__ = ["companions", "entries", "main", "select", "table"]
 
 _POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _FRAMEWORK = {"__main__", "entry", "runner", "timing"}
@@ -32,6 +33,21 @@ def _modules(also: Iterable[str]) -> Iterable[ModuleType]:
             raise ValueError(
                 f"--also: found {name}, which cannot be imported ({error}); need a module with ENTRIES"
             ) from error
+
+
+def companions() -> list[str]:
+    """Modules `bench_*` of the other packages of this workspace (`vo2_*`) that can be found, as dotted names.
+
+    They are found without being imported: they may need what this package does without, such as ROS.
+    """
+    found = []
+    for package in pkgutil.iter_modules():
+        if package.ispkg and package.name.startswith("vo2_") and package.name != "vo2_models":
+            spec = importlib.util.find_spec(package.name)
+            places = spec.submodule_search_locations if spec is not None else None
+            names = sorted(module.name for module in pkgutil.iter_modules(places))
+            found += [f"{package.name}.{name}" for name in names if name.startswith("bench_")]
+    return found
 
 
 def entries(also: Iterable[str] = ()) -> dict[str, Entry]:
@@ -52,6 +68,18 @@ def entries(also: Iterable[str] = ()) -> dict[str, Entry]:
                 )
             found[entry.name] = entry
     return found
+
+
+def _with_companions(known: dict[str, Entry]) -> dict[str, Entry]:
+    """Add the entries of the other packages; one that cannot be imported here is named and left out."""
+    for name in companions():
+        try:
+            module = importlib.import_module(name)
+        except ImportError as error:
+            print(f"bench: {name} left out: {error}", file=sys.stderr)
+            continue
+        known |= {entry.name: entry for entry in module.ENTRIES if entry.name not in known}
+    return known
 
 
 def select(known: Mapping[str, Entry], names: Sequence[str]) -> list[Entry]:
@@ -96,7 +124,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # the figures are for a single thread: said before any numerical library starts its pool
     os.environ.update(dict.fromkeys(_POOLS, "1"))
     try:
-        chosen = select(entries(also), only)
+        known = entries(also)
+        if not only or not set(only) <= set(known):
+            known = _with_companions(known)
+        chosen = select(known, only)
     except ValueError as error:
         print(f"bench: {error}", file=sys.stderr)
         return 2
