@@ -175,6 +175,8 @@ def run_chain(
         out[k, 2] = tip
         out[k, 3] = x[S.STAGE]
         for channel in range(4):
+            if c[_SENSORS + channel * PER_CHANNEL + N.IDEAL] != 0.0:
+                continue
             out[k, channel] = _sense(
                 c, channel, out[k, channel], normals[k, channel], time, period, sample, sensors, sensor_lines
             )  # fmt: skip

@@ -114,6 +114,7 @@ class Sensor(IntEnum):
     STEP = auto()  # channel unit: quantisation
     LOW = auto()  # channel unit
     HIGH = auto()  # channel unit
+    IDEAL = auto()  # 1 where all of the above are neutral, so that the sensor can be passed over
 
 
 CHANNELS = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.device import chain
-from vo2_models.device.coefficients import CHANNELS, FEEDBACK, Coefficient, neutral
+from vo2_models.device.coefficients import CHANNELS, FEEDBACK, Coefficient, Sensor, neutral, sensor_index
 from vo2_models.device.core import ENSEMBLE, PLAYS
 from vo2_models.device.mode import mode_step
 from vo2_models.device.presets import Preset, preset
@@ -121,6 +121,10 @@ class Simulation:
             raise ValueError(
                 f"dead time: found {c[Coefficient.DEAD_TIME]:g} s, need at most {CURRENT_LINE - 2} sample periods"
             )
+        blank = neutral()
+        for channel in CHANNELS:
+            first, ideal = sensor_index(channel, Sensor.LAG), sensor_index(channel, Sensor.IDEAL)
+            c[ideal] = float(np.array_equal(c[first:ideal], blank[first:ideal]))
         if c[Coefficient.MODE_SHARE] == 0.0:
             return c, np.zeros((2, 4))
         return c, mode_step(c[Coefficient.MODE_FREQUENCY], c[Coefficient.MODE_DAMPING], period)
