@@ -24,6 +24,7 @@ from vo2_models.hysteresis import (
     Tanh,
     TanhEnvelopes,
     Zero,
+    kernels,
 )
 
 finite = st.floats(-4, 4, allow_nan=False, width=32)
@@ -192,6 +193,31 @@ def test_the_rising_form_needs_no_order_and_differs_from_the_clamp():
     GPI([0.0], [1.0], envelopes).simulate([-1.0, 0.0])
     with pytest.raises(ValueError, match="envelopes: found"):
         GPI([0.0], [1.0], envelopes, input_range=(-1.0, 1.0))
+
+
+def test_plays_without_weight_do_not_spoil_the_order():
+    envelopes = TanhEnvelopes(2.0, 0.0, 1.0, 0.0)
+    model = GPI([0.0, 0.2], [0.0, 1.0], envelopes, input_range=(-1.0, 1.0))
+    assert model.order_excess(-1.0, 1.0)[2] == 1
+    own = TanhEnvelopes([2.0, 1.0], [0.0, -0.1], [1.0, 1.0], [0.0, 0.1])
+    assert GPI([0.0, 0.0], [0.0, 1.0], own, input_range=(-1.0, 1.0)).order_excess(-1.0, 1.0)[2] == 1
+    with pytest.raises(ValueError, match="for play 0"):
+        GPI([0.0, 0.0], [0.1, 1.0], own, input_range=(-1.0, 1.0))
+
+
+@given(ordered_models(), inputs, finite)
+@settings(max_examples=30, deadline=None)
+def test_kernels_for_other_compiled_loops(model, values, v):
+    """Looking ahead leaves the state alone and gives what a step then gives."""
+    _, state = model.simulate(values)
+    before = state.copy()
+    ahead = kernels.egpi_peek(v, model.packed, state)
+    np.testing.assert_array_equal(state, before)
+    assert kernels.egpi_output(model.packed, state) == pytest.approx(model.output(state), abs=1e-12)
+    assert kernels.egpi_step(v, model.packed, state) == ahead
+    assert state[0] == v
+    assert math.isnan(kernels.egpi_step(math.nan, model.packed, state))
+    assert math.isnan(kernels.egpi_step(v, model.packed, state[1:].copy()))
 
 
 def test_saturation_and_given_memory():

@@ -327,7 +327,10 @@ def play_outputs(packed, v, state, out):
 
 @exact
 def order_excess(packed, low, high, points):
-    """Largest gamma_R(v) - gamma_L(v) - 2 r over the plays and a grid of inputs, with its input and play."""
+    """Largest gamma_R(v) - gamma_L(v) - 2 r over the plays and a grid of inputs, with its input and play.
+
+    Plays of weight zero do not count: they have no part in the output. -inf where no play has a weight.
+    """
     n = int(packed[0])
     kind = int(packed[1])
     shared = packed[2] == 1.0
@@ -338,13 +341,21 @@ def order_excess(packed, low, high, points):
     falling = packed[start + members * stride : start + 2 * members * stride]
     worst = -math.inf
     place = low
-    which = 0
+    # radii are sorted: with a shared pair the first play that counts is the critical one
+    first = 0
+    while first < n and packed[HEADER + first] == 0.0:
+        first += 1
+    which = min(first, n - 1)
+    if first == n:
+        return worst, place, which
     for k in range(points):
         v = low + (high - low) * k / max(points - 1, 1)
-        for j in range(members):
-            gap = envelope_value(kind, rising, members, stride, j, v)
-            gap -= envelope_value(kind, falling, members, stride, j, v)
-            # radii are sorted: with shared envelopes the first play is the critical one
+        for j in range(first, first + 1 if shared else n):
+            if packed[HEADER + j] == 0.0:
+                continue
+            pair = 0 if shared else j
+            gap = envelope_value(kind, rising, members, stride, pair, v)
+            gap -= envelope_value(kind, falling, members, stride, pair, v)
             excess = gap - 2.0 * packed[HEADER + n + j]
             if excess > worst:
                 worst = excess

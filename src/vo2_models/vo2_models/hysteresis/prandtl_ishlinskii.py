@@ -97,7 +97,7 @@ class PlayModel:
     def order_excess(self, low: float, high: float) -> tuple[float, float, int]:
         """Return the largest gamma_R(v) - gamma_L(v) - 2 r on [low, high], its input, and the play.
 
-        Order is preserved where it is not above zero; judged on 257 inputs.
+        Order is preserved where it is not above zero; judged on 257 inputs, over the plays that have a weight.
         """
         worst, place, play = kernels.order_excess(self._packed, float(low), float(high), _GRID)
         return float(worst), float(place), int(play)
