@@ -35,8 +35,8 @@ def run_loop(graph, conductor, model_file, bag, *, late=()):
 
 def contents(bag):
     """Topic -> (stamp, hash of the bytes) of every message, in order."""
-    found = {}
-    problems = []
+    found: dict[str, list[tuple[int, str]]] = {}
+    problems: list = []
     for message in raw_messages(bag, problems):
         digest = hashlib.sha256(message.data).hexdigest()
         found.setdefault(message.channel.topic, []).append((message.log_time_ns, digest))

@@ -31,6 +31,11 @@ def main(args: Sequence[str] | None = None) -> int:
     if problem := _unusable(folder):
         print(f"demo: {problem}", file=sys.stderr)
         return 2
+    if options.seeds:
+        from vo2_identification.demo.seeds import run_seeds
+
+        run_seeds(options.preset, range(options.seed, options.seed + options.seeds), folder, print)
+        return 0
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     for name in _OWN:
         path = folder / name
@@ -113,6 +118,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--effect", default="random", help="Effect to conceal in the last act: an id, random, or none."
+    )
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        default=0,
+        metavar="N",
+        help="Instead: the same experiments on N devices without the graph; prints mean and spread.",
     )
     parser.add_argument("--preset", default="integrated", help=argparse.SUPPRESS)
     parser.add_argument("--domain", type=int, default=0, help=argparse.SUPPRESS)
