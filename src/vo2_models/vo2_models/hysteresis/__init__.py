@@ -1,6 +1,17 @@
 """Hysteresis operators of the play (Prandtl-Ishlinskii) family, their inverses, identification and compression.
 
-Names are loaded on first use, so that importing the package does not load the compiler.
+Models        `Play`, `CPI`, `GPI`, `EGPI`; envelopes `TanhEnvelopes`, `LinearEnvelopes`, `TabulatedEnvelopes`; memoryless
+              parts `Zero`, `Linear`, `Polynomial`, `Sine`, `Cosine`, `Tanh`, `MemorylessSum`
+Inverses      `RobustInverse` (any model, every reachable output), `AnalyticInverse`, `inverse_cpi`, `FixedPointInverse`
+              with `convergence_condition`
+From data     `fit_play_model`; `identify_play_weights` (compressive sensing)
+Smaller       `compress`, `partition` (entropy-optimal)
+Compiled use  `kernels.egpi_step(v, model.packed, state)` and `inverse_kernels.invert_step(u, inverse.packed, state)` on
+              plain arrays, for other compiled loops
+
+A model is frozen; its memory is a float64 array that the caller owns, copies and saves: present input, then
+the outputs of the plays; one row per device where there are many. Names are loaded on first use, so that importing
+the package does not load the compiler.
 
 >>> from vo2_models.hysteresis import GPI, TanhEnvelopes
 >>> model = GPI(radii=[0.0, 0.5], weights=[1.0, 2.0], envelopes=TanhEnvelopes(1.0, -0.5, 1.0, 0.5))
