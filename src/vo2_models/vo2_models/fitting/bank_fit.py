@@ -174,14 +174,11 @@ def shape_rules(plays: int, size: int, values: Floats) -> ShapeRules:
 def evaluate(shape: BankShape, temperature: Floats) -> tuple[Floats, Floats]:
     """Return the model's output (n,) and its derivatives (n, 4 N + m) along a temperature (n,) [degC]."""
     slope, width, weight = (np.exp(v) for v in (shape.log_slope, shape.log_width, shape.log_weight))
-    values, by_slope, by_centre, by_width = play_sensitivities(
-        temperature, slope, shape.centre, width, np.zeros(slope.size)
-    )
-    w = weight[:, None]
+    values, by_slope, by_centre, by_width = play_sensitivities(temperature, slope, shape.centre, width)
     x = (temperature - POLYNOMIAL_CENTRE) / POLYNOMIAL_SCALE
     powers = np.vander(x, shape.polynomial.size, increasing=True)
-    jacobian = np.vstack([w * by_slope, w * by_centre, w * by_width, w * values, powers.T]).T
-    return weight @ values + powers @ shape.polynomial, jacobian
+    jacobian = np.hstack([weight * by_slope, weight * by_centre, weight * by_width, weight * values, powers])
+    return values @ weight + powers @ shape.polynomial, jacobian
 
 
 def fit_bank(

@@ -1,71 +1,46 @@
-"""Outputs of a bank of plays on a given temperature, with their exact derivatives, in one pass.
+"""Outputs of a bank of plays on a given temperature, with their exact derivatives by the loop's shape.
 
-A play holds its output until an envelope moves it, so its derivative with respect to an envelope's parameter is
-the envelope's derivative at the moment of the last move, held since. Each play is described by the slope a, the
-centre m and the half width h > 0 of its loop: gamma_R(T) = tanh(a (T - m - h)), gamma_L(T) = tanh(a (T - m + h)),
-which cannot cross.
+Each play is described by the slope a, the centre m and the half width h > 0 of its loop, gamma_R(T) =
+tanh(a (T - m - h)) and gamma_L(T) = tanh(a (T - m + h)), which cannot cross. The derivatives by the envelopes'
+own parameters come from `hysteresis.fitting_kernels`; here is the chain rule.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from vo2_models.hysteresis.fitting_kernels import derivatives, regressors
 
 __all__ = ["play_sensitivities"]
 
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _kernel(temperature, slope, centre, half_width, radius, values, by_slope, by_centre, by_width):
-    for j in range(slope.size):
-        a, m, h, r = slope[j], centre[j], half_width[j], radius[j]
-        w = r - 1.0
-        d_slope = 0.0
-        d_centre = 0.0
-        d_width = 0.0
-        previous = -math.inf
-        for k in range(temperature.size):
-            v = temperature[k]
-            if v > previous:
-                distance = v - m - h
-                g = math.tanh(a * distance)
-                if g - r > w:
-                    w = g - r
-                    slack = (1.0 - g) * (1.0 + g) * a
-                    d_slope = slack * distance
-                    d_centre = -slack
-                    d_width = -slack * h
-            elif v < previous:
-                distance = v - m + h
-                g = math.tanh(a * distance)
-                if g + r < w:
-                    w = g + r
-                    slack = (1.0 - g) * (1.0 + g) * a
-                    d_slope = slack * distance
-                    d_centre = -slack
-                    d_width = slack * h
-            previous = v
-            values[j, k] = w
-            by_slope[j, k] = d_slope
-            by_centre[j, k] = d_centre
-            by_width[j, k] = d_width
+Floats = NDArray[np.float64]
 
 
 def play_sensitivities(
-    temperature: NDArray[np.float64],
-    slope: NDArray[np.float64],
-    centre: NDArray[np.float64],
-    half_width: NDArray[np.float64],
-    radius: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], ...]:
-    """Run N plays from their lower saturation along a temperature (n,) [degC].
+    temperature: Floats, slope: Floats, centre: Floats, half_width: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Run N plays of radius 0 from their lower saturation along a temperature (n,) [degC].
 
     Returns
     -------
-    values, by_log_slope, by_centre, by_log_half_width : (N, n) outputs and derivatives [1], [1/K] by the centre
+    values, by_log_slope, by_centre, by_log_half_width : (n, N) outputs and derivatives [1], [1/K] by the centre
     """
-    out = tuple(np.empty((slope.size, temperature.size)) for _ in range(4))
-    _kernel(temperature, slope, centre, half_width, radius, *out)
-    return out
+    a, m, h = slope, centre, half_width
+    plays, radii = a.size, np.zeros(a.size)
+    # coordinates around a middle temperature: v - m is taken where it is small
+    middle = float(np.mean(m))
+    v = temperature - middle
+    rise, fall = m - middle + h, m - middle - h
+    envelopes = np.array([a, -a * rise, a, -a * fall])
+    values = np.empty((v.size, plays))
+    regressors(v, envelopes, radii, True, values)
+    columns = np.full((5, plays), -1, dtype=np.int64)
+    columns[:4] = np.arange(4 * plays).reshape(4, plays)
+    raw = np.zeros((v.size, 4 * plays))
+    derivatives(v, envelopes, radii, True, np.ones(plays), columns, raw)
+    by_rising_slope, by_rising, by_falling_slope, by_falling = (
+        raw[:, k * plays : (k + 1) * plays] for k in range(4)
+    )
+    by_log_slope = a * (by_rising_slope + by_falling_slope - rise * by_rising - fall * by_falling)
+    return values, by_log_slope, -a * (by_rising + by_falling), a * h * (by_falling - by_rising)
