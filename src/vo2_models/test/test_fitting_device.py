@@ -60,6 +60,22 @@ def test_noise_and_time_constant(fitted):
     }
 
 
+def test_time_constant_is_as_uncertain_as_the_excitation_leaves_it():
+    """A staircase of small steps says little about it and the fit says so; large steps settle it."""
+    from vo2_models.device.coefficients import Coefficient
+
+    device = truth("integrated", seed=5)
+    stairs = _calibration("integrated")
+    steps = np.r_[stairs, np.repeat(random_levels(3.68e-3, 8.49e-3, 60, seed=99), 10)]
+    true = device.coefficients[Coefficient.TIME_CONSTANT]
+    for current, tolerance, warned in ((stairs, 0.05, True), (steps, 0.004, False)):
+        result = fit_device([device.simulate(current, seed=1)], "integrated")
+        found = result.model.scalars["thermal.time_constant"]
+        assert abs(found / true - 1.0) < tolerance
+        assert any("small steps" in note for note in result.notes) == warned
+        assert (result.model.uncertainty["thermal.time_constant"][0] > 0.01 * true) == warned
+
+
 def test_missing_channels(fitted):
     name, device, _ = fitted
     run = device.simulate(_calibration(name), seed=1)

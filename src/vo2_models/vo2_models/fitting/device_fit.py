@@ -26,6 +26,12 @@ PLAYS = 12
 """Plays of each bank."""
 COLD = -300.0
 """Temperature [degC] put between two recordings, which brings every play back to its cold saturation."""
+STAIRCASE = 0.25
+"""Recordings whose steps are all smaller than this share of the range do not pin down the time constant."""
+STAIRCASE_BIAS = 0.018
+"""Relative error (one standard deviation) that the time constant then has beside its scatter: over the simulated
+devices 1 to 8, calibrated with a damped oscillation of 20 levels, it was 1.7 % (at most 3.5 %); with 60 random levels
+behind it, 0.1 % (at most 0.2 %)."""
 SECTIONS = {RESISTANCE: "resistance", TIP_DEFLECTION: "deflection"}
 
 
@@ -225,7 +231,24 @@ def _fit_loops(
         note = "no transients in the recording: time constant and dead time are the preset's"
         return replace(loops, notes=(note,))
     loops = _fit_together(model, grids, loops, values)
-    return replace(loops, std=_thermal_spread(replace(model, scalars=loops.scalars), grids, loops))
+    std = _thermal_spread(replace(model, scalars=loops.scalars), grids, loops)
+    if _largest_jump(model, grids) > STAIRCASE:
+        return replace(loops, std=std)
+    tau = loops.scalars["thermal.time_constant"]
+    std["thermal.time_constant"] = max(std["thermal.time_constant"], STAIRCASE_BIAS * tau)
+    note = (
+        "the current moves in small steps only, which a slightly wrong loop imitates: the time constant may be "
+        f"{100 * STAIRCASE_BIAS:.1f} % off; some large steps, such as random levels, would settle it"
+    )
+    return replace(loops, std=std, notes=(note,))
+
+
+def _largest_jump(model: DeviceModel, grids: Sequence[GriddedRecording]) -> float:
+    """Largest step of the steady temperature between neighbouring samples, as a share of its range (99.5 % quantile)."""
+    linear, square = model.scalars["thermal.linear_gain"], model.scalars["thermal.square_gain"]
+    targets = [linear * grid.current + square * np.square(grid.current) for grid in grids]
+    jumps = np.concatenate([np.abs(np.diff(target)) for target in targets])
+    return float(np.quantile(jumps, 0.995) / np.ptp(np.concatenate(targets)))
 
 
 _THERMAL = ("thermal.time_constant", "driver.dead_time")
