@@ -31,7 +31,10 @@ class Thresholds:
     gain : least drop of q of a named effect; the largest false one on recordings without effect is below
     share : least share of the excess that a name explains on held-out blocks
     complete : share of the excess that names must explain together; else "unknown" is among the answers
+    second : a second effect explains at least this share of what the first leaves over...
+    second_of_all : ... and this share of the whole excess: below it is how far an equation of the first may be off
     small : excess below which nothing more is looked for, in noise powers
+    plain : excess below which a residual that nothing predicts on held-out blocks is taken for noise or misfit
     rival : rivals within this difference of q (5 sigma) are not told apart
     temper : how many times more the likelihood ratio must be than white noise would need
     """
@@ -41,7 +44,10 @@ class Thresholds:
     gain: float = 60.0
     share: float = 0.25
     complete: float = 0.85
+    second: float = 0.4
+    second_of_all: float = 0.04
     small: float = 0.35
+    plain: float = 3.0
     rival: float = 25.0
     temper: float = 8.0
 
@@ -78,10 +84,21 @@ def held_out(
     evidence: Evidence,
     explanation: Explanation | None,
     *,
+    reference: Evidence | None = None,
     folds: Sequence[NDArray[np.bool_]] | None = None,
     tick: Callable[[], None] = lambda: None,
 ) -> HeldOut:
-    """Fit on one half of the blocks, judge on the other, both ways."""
+    """Fit on one half of the blocks, judge on the other, both ways.
+
+    Parameters
+    ----------
+    evidence : the problem, about the explanation where there is one
+    explanation : what is judged; None judges the base alone
+    reference : the problem about the nominal simulation, which the gain is told against
+    folds : held-out masks; two of alternating long blocks by default
+    tick : called once per simulation
+    """
+    nominal = evidence if reference is None else reference
     before_energy = after_energy = 0.0
     count = 0
     squares: dict[str, dict[str, float]] = {"before": {}, "after": {}}
@@ -99,7 +116,8 @@ def held_out(
         else:
             change = np.zeros(evidence.weight.size)
             weights = training.absorb(training.residual)
-        without = evidence.residual - evidence.base @ training.absorb(training.residual)
+        plainly = nominal.restricted(~held)
+        without = nominal.residual - nominal.base @ plainly.absorb(plainly.residual)
         with_it = evidence.residual - change - evidence.base @ weights
         use = held & (evidence.weight > 0)
         before_energy += float(np.sum(without[use] ** 2))
@@ -109,7 +127,7 @@ def held_out(
             some = use[row.where]
             noise = evidence.nominal.noise[row.channel]
             weight = np.where(evidence.weight[row.where] > 0, evidence.weight[row.where], 1.0)
-            for name, vector in (("before", evidence.residual), ("after", with_it)):
+            for name, vector in (("before", nominal.residual), ("after", with_it)):
                 plain = noise.color(vector[row.where] / weight)
                 squares[name][row.channel] = squares[name].get(row.channel, 0.0) + float(
                     np.sum(plain[some] ** 2)

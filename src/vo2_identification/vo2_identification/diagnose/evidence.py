@@ -55,6 +55,7 @@ class Evidence:
     names : of the thermal columns, which are the last
     spreads : a unit of each thermal column, in the parameter's unit
     included : effects that the nominal responses already have
+    shapes : posterior of the loop shapes behind the base
     """
 
     nominal: Nominal
@@ -68,6 +69,7 @@ class Evidence:
     names: tuple[str, ...]
     spreads: tuple[float, ...]
     included: Effects = field(default_factory=dict)
+    shapes: Mapping[str, LoopShape] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         gram = self.base.T @ self.base
@@ -164,6 +166,7 @@ def gather(
     *,
     thermal: Mapping[str, float] | None = None,
     effects: Effects | None = None,
+    shapes: Mapping[str, LoopShape] | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> Evidence:
     """Build the problem: loop shape from the calibration, simulation of every part, whitened base.
@@ -174,13 +177,16 @@ def gather(
     parts : recordings, as `part.prepare` made them
     thermal : thermal parameters to linearise about, None for the model's
     effects : effects to linearise about
+    shapes : posterior of the loop shapes, where it is known already
     say : called with what is being done
     """
-    shapes = loop_shapes(nominal)
+    shapes = loop_shapes(nominal) if shapes is None else shapes
     corrected = replace(nominal, corrections={c: s.fold() for c, s in shapes.items()})
     thermal = dict(thermal or {})
     say("simulating the recordings")
-    responses = [corrected.respond(p.current, p.dt, thermal=thermal, settled=p.settled) for p in parts]
+    responses = [
+        corrected.respond(p.current, p.dt, effects=effects, thermal=thermal, settled=p.settled) for p in parts
+    ]
     rows, end = [], 0
     for index, part in enumerate(parts):
         for channel in part.channels:
@@ -204,7 +210,7 @@ def gather(
     columns = []
     partial = Evidence(
         corrected, thermal, tuple(parts), tuple(rows), weight, tuple(responses), residual,
-        np.zeros((end, 0)), (), (), dict(effects or {}),
+        np.zeros((end, 0)), (), (), dict(effects or {}), shapes,
     )  # fmt: skip
     for name, spread in spreads.items():
         step = 0.2 * spread

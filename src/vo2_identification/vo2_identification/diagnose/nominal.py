@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from vo2_models.device import DeviceModel, preset
-from vo2_models.device.coefficients import CHANNELS, Coefficient
+from vo2_models.device.coefficients import CHANNELS, Coefficient, Sensor, sensor_index
+from vo2_models.device.simulation import Simulation
 from vo2_models.fitting.digest import CalibrationDigest
 from vo2_models.fitting.enrichment import Correction, EnrichmentBasis
 from vo2_models.model_file import load_model_parameters
@@ -23,6 +24,7 @@ from vo2_models.recording import (
     Recording,
 )
 
+from vo2_identification.diagnose.carry import carried
 from vo2_identification.diagnose.noise import NoiseModel
 
 __all__ = ["JUDGED_UNIT", "Nominal", "Response", "drive_of", "judged"]
@@ -196,7 +198,7 @@ class Nominal:
         thermal : values that replace those of the model, by name as in `THERMAL`
         settled : whether the device had come to rest at the first current before, instead of at no current
         """
-        chain = self.model.simulation
+        chain = _noiseless(self.model.simulation)
         c = chain.coefficients.copy()
         for name, value in (thermal or {}).items():
             c[THERMAL[name]] = value
@@ -208,15 +210,23 @@ class Nominal:
             lead = int(np.ceil(10 * (c[Coefficient.TIME_CONSTANT] + c[Coefficient.DEAD_TIME]) / dt))
             current = np.concatenate([np.full(lead, current[0]), current])
         out = chain.run(current, dt=dt)
-        film = np.nan_to_num(out[:, 5], nan=1e4, posinf=1e4, neginf=-1e4).clip(-1e4, 1e4)
+        if self.corrections:
+            out = carried(chain, current, out, dt, self.corrections)
+        # a candidate may drive the simulation out of anything physical: it must only look very wrong
+        out = np.nan_to_num(out, nan=1e9, posinf=1e9, neginf=-1e9).clip(-1e9, 1e9)
+        film = out[:, 5].clip(-1e4, 1e4)
         found = {}
         for k, channel in enumerate(CHANNELS):
             if channel == STAGE_TEMPERATURE and not preset(self.device).measures_temperature:
                 continue
-            # a candidate may drive the simulation out of anything physical: it must only look very wrong
-            raw = np.nan_to_num(out[:, k], nan=1e9, posinf=1e9, neginf=-1e9).clip(-1e9, 1e9)
-            found[channel] = np.log10(np.maximum(raw, 1e-3)) if channel == RESISTANCE else raw
-        for channel, correction in self.corrections.items():
-            shift = chain.coefficients[Coefficient.TRANSITION_OFFSET] if channel == TIP_DEFLECTION else 0.0
-            found[channel] = found[channel] + correction(film + shift if shift else film)
+            found[channel] = np.log10(np.maximum(out[:, k], 1e-3)) if channel == RESISTANCE else out[:, k]
         return Response({k: v[lead:] for k, v in found.items()}, film[lead:])
+
+
+def _noiseless(chain: Simulation) -> Simulation:
+    """The same chain with quiet sensors."""
+    c = chain.coefficients.copy()
+    for channel in CHANNELS:
+        for coefficient in (Sensor.NOISE, Sensor.NOISE_RELATIVE):
+            c[sensor_index(channel, coefficient)] = 0.0
+    return replace(chain, coefficients=c)

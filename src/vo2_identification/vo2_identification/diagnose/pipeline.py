@@ -17,9 +17,10 @@ from vo2_identification.diagnose.evidence import Evidence, gather
 from vo2_identification.diagnose.explain import Explanation, Score, fit_jointly, score
 from vo2_identification.diagnose.hypotheses import Hypothesis, hypotheses
 from vo2_identification.diagnose.locate import Breakdown, breakdown
+from vo2_identification.diagnose.next_experiment import propose
 from vo2_identification.diagnose.nominal import Nominal
 from vo2_identification.diagnose.part import prepare
-from vo2_identification.diagnose.result import Diagnosis
+from vo2_identification.diagnose.result import Diagnosis, NextExperiment
 from vo2_identification.diagnose.statement import assemble
 from vo2_identification.diagnose.unknown import Unnamed, describe_unknown
 
@@ -54,6 +55,9 @@ class Study:
     excess : channel -> excess power over noise power, base refitted
     total_excess : the same of all channels
     differs : whether the excess counts
+    not_excited : ids of effects that these recordings would not show
+    rival_pairs : named effect, rival that the recordings do not separate from it
+    proposal : what to record next
     """
 
     nominal: Nominal
@@ -73,6 +77,8 @@ class Study:
     remaining_excess: float = 0.0
     differs: bool = False
     not_excited: tuple[str, ...] = ()
+    rival_pairs: tuple[tuple[str, str], ...] = ()
+    proposal: NextExperiment | None = None
     seconds: float = 0.0
 
 
@@ -152,7 +158,7 @@ def study(
         clock.say("judging on held-out blocks")
         judged = held_out(evidence, None)
         return replace(base, judged=judged, seconds=time.perf_counter() - began)
-    return replace(_explained(base, clock), differs=True, seconds=time.perf_counter() - began)
+    return replace(_explained(base, clock), seconds=time.perf_counter() - began)
 
 
 def _started(evidence: Evidence, nominal: Nominal, clock: _Clock) -> Evidence:
@@ -177,7 +183,7 @@ def _started(evidence: Evidence, nominal: Nominal, clock: _Clock) -> Evidence:
             parts[index] = replace(part, settled=True)
     if all(new is old for new, old in zip(parts, evidence.parts, strict=True)):
         return evidence
-    return gather(nominal, parts, say=clock.say)
+    return gather(nominal, parts, shapes=evidence.shapes, say=clock.say)
 
 
 def _excess(evidence: Evidence, left: Floats, q: float) -> tuple[dict[str, float], float]:
@@ -208,18 +214,19 @@ def _explained(base: Study, clock: _Clock) -> Study:
     not_excited = tuple(_not_excited(scores))
     final, chosen, rivals = evidence, None, list(singles)
     remaining = base.total_excess
-    if singles and singles[0].gain > limits.gain:
-        final, chosen = _relinearised(base, singles[0], clock)
+    first = _best_inside(singles)
+    if first is not None and first.gain > limits.gain:
+        final, chosen = _relinearised(base, first, clock)
         remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0
         if _incomplete(remaining, base.total_excess, limits):
             pair = _second(base, final, chosen, candidates, clock)
             if pair is not None:
                 final, chosen, rivals, remaining = pair
     clock.say("judging on held-out blocks")
-    judged = held_out(final, chosen, tick=clock.tick)
+    judged = held_out(final, chosen, reference=evidence, tick=clock.tick)
     outside = None
     share = 1.0 - max(remaining, 0.0) / max(base.total_excess, 1e-9)
-    named = chosen is not None and share >= limits.share and judged.stable
+    named = chosen is not None and share >= limits.share and judged.stable and not chosen.at_bound
     if not named or (remaining > limits.small and share < limits.complete):
         clock.say("shaping what has no name")
         folds = block_folds(evidence)
@@ -229,8 +236,27 @@ def _explained(base: Study, clock: _Clock) -> Study:
             final, judged = evidence, held_out(evidence, None)
             chosen = None
     best = evidence.left(evidence.residual) if chosen is None else _trace(final, chosen)
+    pairs = _rival_pairs(base, chosen, rivals, remaining)
+    proposal = None
+    if pairs and chosen is not None:
+        clock.say("designing the next experiment")
+        rival = next(r for r in rivals if pairs[0][1] in (h.record.id for h in r.hypotheses))
+        proposal = propose(evidence, base.nominal, chosen, rival, names=pairs[0], say=clock.say)
+    if (
+        chosen is None
+        and (outside is None or outside.share < limits.share)
+        and base.total_excess < limits.plain
+    ):
+        # more residual than noise, but nothing in it that predicts anything: misfit or noise of another colour
+        return replace(
+            base, scores=tuple(scores), singles=tuple(singles), judged=judged, remaining_excess=remaining,
+            not_excited=not_excited,
+        )  # fmt: skip
     return replace(
         base,
+        differs=True,
+        rival_pairs=tuple(pairs),
+        proposal=proposal,
         final=final,
         scores=tuple(scores),
         singles=tuple(singles),
@@ -244,12 +270,42 @@ def _explained(base: Study, clock: _Clock) -> Study:
     )
 
 
+def _best_inside(explanations: Sequence[Explanation]) -> Explanation | None:
+    """The best that does not end at a physical bound, unless one that does is better by far."""
+    if not explanations:
+        return None
+    inside = [e for e in explanations if not e.at_bound]
+    if inside and inside[0].gain > 0.8 * explanations[0].gain:
+        return inside[0]
+    return explanations[0]
+
+
 def _trace(final: Evidence, chosen: Explanation) -> Floats:
     """What the effects leave in the recording: the residual with the base as it is beside them."""
     plain = replace(final, included={})
     without = plain.stack(plain.responses({}), final.nominal_responses)
     weights = final.absorb(final.residual - chosen.deviation)
     return final.residual - without - final.base @ weights
+
+
+def _rival_pairs(
+    base: Study, chosen: Explanation | None, rivals: Sequence[Explanation], remaining: float
+) -> list[tuple[str, str]]:
+    """Effects that fit as well as a named one, within what the data can tell."""
+    if chosen is None:
+        return []
+    reference = next((r for r in rivals if set(r.keys) == set(chosen.keys)), chosen)
+    limit = base.thresholds.rival * (1.0 + max(remaining, 0.0))
+    pairs: list[tuple[str, str]] = []
+    for rival in rivals:
+        ours = [k.split(":")[0] for k in chosen.keys if k not in rival.keys]
+        theirs = [k.split(":")[0] for k in rival.keys if k not in chosen.keys]
+        close = rival.chi_square - reference.chi_square < limit and not rival.at_bound
+        if len(rival.keys) == len(chosen.keys) and len(ours) == 1 and close and ours != theirs:
+            pair = (ours[0], theirs[0])
+            if pair not in pairs:
+                pairs.append(pair)
+    return pairs
 
 
 def _incomplete(remaining: float, excess: float, limits: Thresholds) -> bool:
@@ -259,7 +315,7 @@ def _incomplete(remaining: float, excess: float, limits: Thresholds) -> bool:
 def _relinearised(base: Study, best: Explanation, clock: _Clock) -> tuple[Evidence, Explanation]:
     """Build the problem about an explanation and fit it once more there."""
     clock.say("linearising about the explanation")
-    final = gather(base.nominal, base.evidence.parts, effects=best.effects)
+    final = gather(base.nominal, base.evidence.parts, effects=best.effects, shapes=base.evidence.shapes)
     again = fit_jointly(final, best.hypotheses, best.values, iterations=6, tick=clock.tick)
     # gains are told against the base alone, about the nominal simulation
     q_base = base.evidence.count * (1.0 + base.total_excess)
@@ -283,7 +339,8 @@ def _second(
         joint = fit_jointly(
             about, [*first.hypotheses, s.hypothesis], [*first.values, s.start], iterations=8, tick=clock.tick
         )
-        pairs.append(joint)
+        if not joint.at_bound:
+            pairs.append(joint)
     if not pairs:
         return None
     pairs.sort(key=lambda e: e.chi_square)
@@ -291,7 +348,10 @@ def _second(
     before = about.chi_square(residual)
     drop = before - best.chi_square
     left_over = before - about.count
-    if drop < limits.gain or drop < 0.4 * left_over:
+    needed = max(
+        limits.gain, limits.second * left_over, limits.second_of_all * base.total_excess * about.count
+    )
+    if drop < needed:
         return None
     final, chosen = _relinearised(base, best, clock)
     remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0

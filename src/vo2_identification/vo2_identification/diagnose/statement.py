@@ -44,7 +44,7 @@ def assemble(study: Study) -> Diagnosis:
         )
     candidates, probability = _candidates(study)
     effects = _named(study, probability)
-    pairs = _rival_pairs(study)
+    pairs = [list(pair) for pair in study.rival_pairs]
     return Diagnosis(
         verdict="differs",
         location=locate(study.final, study.breakdown),
@@ -52,7 +52,7 @@ def assemble(study: Study) -> Diagnosis:
         candidates=candidates,
         fit=fit,
         indistinguishable=pairs,
-        next_experiment=None,
+        next_experiment=study.proposal,
         summary=_summary(study, effects, pairs),
         limits=limits_in_words(study.findings),
         not_excited=list(study.not_excited),
@@ -204,28 +204,6 @@ def _unknown(study: Study) -> NamedEffect:
     if study.chosen is None:
         probability = 1.0 - 0.5 * _explained_share(study)
     return NamedEffect("unknown", float(probability), statement, equation, {})
-
-
-def _rival_pairs(study: Study) -> list[list[str]]:
-    """Effects that fit as well as a named one, within what the data can tell."""
-    if study.chosen is None:
-        return []
-    chosen = study.chosen
-    reference = next((r for r in study.rivals if set(r.keys) == set(chosen.keys)), chosen)
-    pairs = []
-    limit = study.thresholds.rival * (1.0 + max(study.remaining_excess, 0.0))
-    for rival in study.rivals:
-        if set(rival.keys) == set(chosen.keys) or len(rival.keys) != len(chosen.keys):
-            continue
-        if rival.chi_square - reference.chi_square > limit or rival.at_bound:
-            continue
-        ours = [k for k in chosen.keys if k not in rival.keys]
-        theirs = [k for k in rival.keys if k not in chosen.keys]
-        if len(ours) == 1 and len(theirs) == 1:
-            pair = [ours[0].split(":")[0], theirs[0].split(":")[0]]
-            if pair not in pairs and pair[0] != pair[1]:
-                pairs.append(pair)
-    return pairs
 
 
 def _agrees_summary(study: Study) -> str:

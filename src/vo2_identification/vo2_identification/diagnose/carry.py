@@ -1,0 +1,116 @@
+"""Carry a correction of the loop shape through everything behind the transitions.
+
+The correction belongs to the film: it sees the temperature that the transition sees (with what effects add to
+it), follows as late as the phase does, and passes terminals, structure and sensors. The compiled stages of
+the device do that; nothing is written twice here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from vo2_models.device.chain import _film_deflection, _sense, _structure, _terminal_resistance
+from vo2_models.device.coefficients import CHANNELS
+from vo2_models.device.coefficients import Coefficient as C
+from vo2_models.device.core import _count_reversals, fraction_of, leading
+from vo2_models.device.simulation import Simulation
+from vo2_models.device.state import Slot as S
+from vo2_models.fitting.enrichment import Correction
+from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
+
+__all__ = ["carried"]
+
+Floats = NDArray[np.float64]
+_SLOTS = len(S)
+
+
+def carried(
+    simulation: Simulation, current: Floats, out: Floats, dt: float, corrections: Mapping[str, Correction]
+) -> Floats:
+    """Return `out` (n, 9) of `Simulation.run` with the corrections of resistance and deflection in it.
+
+    Parameters
+    ----------
+    simulation : with effects; its noise is not added
+    current : (n,) what it was driven with [A]
+    out : as `Simulation.run` gave it
+    dt : sample period [s]
+    corrections : channel -> correction (of log10 R, and of the deflection [m])
+    """
+    c, mode = simulation.prepared(dt)
+    rest = simulation.run(np.zeros(1), dt=dt)[0]
+    seen = np.empty((out.shape[0], 2))
+    _seen_temperature(simulation.kind, c, simulation.packed_d, np.ascontiguousarray(out), seen)
+    film = np.zeros((out.shape[0], 2))
+    at_rest = np.zeros(2)
+    for place, channel in enumerate((RESISTANCE, TIP_DEFLECTION)):
+        if channel in corrections:
+            path = np.concatenate([rest[5:6], seen[:, place]])
+            values = corrections[channel](path)
+            film[:, place] = _late(values, float(c[C.KINETICS]), dt)[1:]
+            at_rest[place] = values[0]
+    result = out.copy()
+    _finish(simulation.kind, c, mode, simulation.poly_d, dt, rest, at_rest, film, out, result)
+    return result
+
+
+def _late(values: Floats, constant: float, dt: float) -> Floats:
+    """First-order lag, exact for values that move linearly between samples."""
+    if constant <= 0.0:
+        return values
+    left = np.exp(-dt / constant)
+    ramp = (1.0 - left) * constant / dt
+    steps = np.diff(values, prepend=values[:1])
+    # gap between the follower and its target: g_k = left g_(k-1) - ramp step_k
+    gap = lfilter([-ramp], [1.0, -left], steps)
+    return np.asarray(values + gap)
+
+
+@njit(cache=True, error_model="numpy")
+def _seen_temperature(kind, c, packed_d, out, seen):
+    """What each transition sees: film temperature plus training, incongruency and structural offset."""
+    x = np.zeros(_SLOTS)
+    lead = leading(kind, packed_d)
+    x[S.TURN] = out[0, 5]
+    for k in range(out.shape[0]):
+        value = out[k, 5]
+        if c[C.TRAINING] != 0.0:
+            _count_reversals(c, x, value)
+            value += c[C.TRAINING] * x[S.REVERSALS]
+        if c[C.INCONGRUENCY] != 0.0:
+            value += c[C.INCONGRUENCY] * (fraction_of(kind, lead, out[k, 7 + lead], c) - 0.5)
+        seen[k, 0] = value
+        seen[k, 1] = value + c[C.TRANSITION_OFFSET]
+
+
+@njit(cache=True, error_model="numpy")
+def _finish(kind, c, mode, poly_d, period, rest, at_rest, film, out, result):
+    """Terminals, structure and sensors of both channels, once more, on the corrected film."""
+    x = np.zeros(_SLOTS)
+    sensors = np.zeros((4, 2))
+    lines = np.zeros((4, 256))
+    x[S.FILM] = rest[5]
+    x[S.OUT_D] = rest[8] + at_rest[1]
+    still = _film_deflection(kind, c, x, poly_d)
+    x[S.CREPT] = still
+    x[S.MODE] = still
+    x[S.MODE_INPUT] = still
+    sensors[1, 0] = _terminal_resistance(c, x, rest[6] * 10.0 ** at_rest[0], 0.0)
+    sensors[2, 0] = still
+    lines[1, :] = sensors[1, 0]
+    lines[2, :] = sensors[2, 0]
+    for k in range(out.shape[0]):
+        x[S.FILM] = out[k, 5]
+        x[S.OUT_D] = out[k, 8] + film[k, 1]
+        resistance = out[k, 6] * 10.0 ** min(max(film[k, 0], -30.0), 30.0)
+        tip = _structure(c, x, mode, _film_deflection(kind, c, x, poly_d), period)
+        terminal = _terminal_resistance(c, x, resistance, out[k, 0])
+        result[k, 1] = _sense(c, 1, terminal, 0.0, k * period, period, k, sensors, lines)
+        result[k, 2] = _sense(c, 2, tip, 0.0, k * period, period, k, sensors, lines)
+
+
+assert CHANNELS[1:3] == (RESISTANCE, TIP_DEFLECTION)
