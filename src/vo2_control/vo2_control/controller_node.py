@@ -85,6 +85,7 @@ class ControllerNode(Node):
         self._reference_reader = SampleReader(REFERENCE_CHANNELS)
         self._writer = SampleWriter(COMMAND_CHANNELS, self._table.text("preset"))
         self._publisher = self.create_publisher(JointState, COMMAND, SAMPLE_QOS)
+        self._diagnostics.watch_listeners(self._publisher)
         self.create_subscription(JointState, REFERENCE, self._on_reference, LATCHED_QOS, raw=True)
         self.create_subscription(JointState, ESTIMATE, self._on_estimate, READ_QOS, raw=True)
         self.create_service(Trigger, "~/redesign", self._on_redesign)

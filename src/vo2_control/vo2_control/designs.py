@@ -51,7 +51,7 @@ def design_controller(
     kind : one of `CONTROLLER_KINDS`
     preset : device preset; gives gains and limits that `values` does not
     sample_period_s : [s]
-    values : the parameters that were set: gains that are in it are used, else a model in it is tuned for; by the names of `CONTROLLER_PARAMETERS`, and `model.*`
+    values : what was set of `CONTROLLER_PARAMETERS` and `model.*`; gains in it are used, else a model is tuned for
 
     Raises
     ------

@@ -77,6 +77,7 @@ class ReferenceNode(Node):
         self._writer = SampleWriter(REFERENCE_CHANNELS, self._table.text("preset"))
         self._answer = b""
         self._publisher = self.create_publisher(JointState, REFERENCE, LATCHED_QOS)
+        self._diagnostics.watch_listeners(self._publisher)
         self.create_subscription(JointState, MEASUREMENT, self._on_measurement, READ_QOS, raw=True)
 
     def _on_measurement(self, data: bytes) -> None:

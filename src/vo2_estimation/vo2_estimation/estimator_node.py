@@ -69,6 +69,7 @@ class EstimatorNode(Node):
         self._writer = SampleWriter(ESTIMATE_CHANNELS, preset)
         self._answer = b""
         self._publisher = self.create_publisher(JointState, ESTIMATE, SAMPLE_QOS)
+        self._diagnostics.watch_listeners(self._publisher)
         self.create_subscription(JointState, MEASUREMENT, self._on_measurement, READ_QOS, raw=True)
         self._rebuild()
 

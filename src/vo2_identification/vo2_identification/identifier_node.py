@@ -106,6 +106,7 @@ class IdentifierNode(Node):
         self._reader = SampleReader(_CHANNELS)
         self._writer = SampleWriter(COMMAND_CHANNELS, self._preset)
         self._publisher = self.create_publisher(JointState, COMMAND, SAMPLE_QOS)
+        self._diagnostics.watch_listeners(self._publisher)
         self.create_subscription(JointState, MEASUREMENT, self._on_measurement, READ_QOS, raw=True)
         self.create_service(Trigger, "~/start", self._on_start)
         self.create_service(Trigger, "~/cancel", self._on_cancel)

@@ -94,6 +94,7 @@ class PlantNode(Node):
         self._reader = SampleReader(COMMAND_CHANNELS)
         self._answer = b""
         self._publisher = self.create_publisher(JointState, MEASUREMENT, SAMPLE_QOS)
+        self._diagnostics.watch_listeners(self._publisher)
         self._clock_out = None
         if self._lockstep and self._table.flag("clock"):
             self._clock_out = self.create_publisher(Clock, CLOCK, SAMPLE_QOS)

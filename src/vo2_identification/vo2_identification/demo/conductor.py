@@ -11,11 +11,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.task import Future
+from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from vo2_models.parameters import Value
 from vo2_plant_sim.interface.executable import fastest_executor
 from vo2_plant_sim.interface.parameters import ros_parameters
-from vo2_plant_sim.interface.topics import DIAGNOSTICS, SAMPLE_QOS
+from vo2_plant_sim.interface.samples import SampleReader
+from vo2_plant_sim.interface.topics import DIAGNOSTICS, READ_QOS
 
 from vo2_identification.demo.graph import Graph, GraphError
 
@@ -48,7 +50,7 @@ class Conductor:
         self._executor.add_node(self._node)
         self._clients: dict[tuple[str, type], Any] = {}
         self._checked = 0.0
-        self._node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, SAMPLE_QOS)
+        self._node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, READ_QOS)
 
     def close(self) -> None:
         """Leave the graph."""
@@ -81,19 +83,38 @@ class Conductor:
             client = self._client(f"{name}/set_parameters_atomically", SetParametersAtomically)
             self.wait_for(f"the node {name}", client.service_is_ready, timeout_s)
 
-    def wait_for_links(self, endpoints: Mapping[str, tuple[int, int]], timeout_s: float = 60.0) -> None:
-        """Wait until every topic has at least (publishers, subscribers), and these have found each other."""
+    def wait_for_listeners(self, expected: Mapping[tuple[str, str], int], timeout_s: float = 60.0) -> None:
+        """Wait until publishers have met their listeners: (node, topic), by full names, -> how many at least.
 
-        def all_there() -> bool:
-            return all(
-                self._node.count_publishers(topic) >= publishers
-                and self._node.count_subscribers(topic) >= subscribers
-                for topic, (publishers, subscribers) in endpoints.items()
-            )
+        The nodes tell it on `/diagnostics`; without it the first samples of a run would find nobody.
+        """
 
-        self.wait_for(f"the publishers and subscribers of {', '.join(endpoints)}", all_there, timeout_s)
-        # this node joined last; once it knows all, the others have met, but for a last exchange
+        def missing() -> list[str]:
+            return [
+                f"{node} has {found or 'no'} of {count} listeners of {topic}"
+                for (node, topic), count in expected.items()
+                if int(found := self.value(f"{node.lstrip('/')}: links", topic) or "0") < count
+            ]
+
+        try:
+            self.wait_for("publishers and listeners", lambda: not missing(), timeout_s)
+        except GraphError as error:
+            raise GraphError(f"{error}; {'; '.join(missing())}") from error
+        # the listener may learn of the publisher a moment later than the other way round
         self.pause(_SETTLE_S)
+
+    def wait_for_sample(self, topic: str, stamp_s: float, timeout_s: float = 60.0) -> None:
+        """Wait until a sample of this stamp or a later one comes on a topic."""
+        reader, newest = SampleReader(()), [0.0]
+
+        def note(data: bytes) -> None:
+            newest[0] = reader.read(data)[0] * 1e-9
+
+        subscription = self._node.create_subscription(JointState, topic, note, READ_QOS, raw=True)
+        self.wait_for(
+            f"the sample of {stamp_s:.3f} s on {topic}", lambda: newest[0] >= stamp_s - 1e-9, timeout_s
+        )
+        self._node.destroy_subscription(subscription)
 
     def set(self, node: str, values: Mapping[str, Value], timeout_s: float = 20.0) -> None:
         """Set parameters of a node (full name), all or none."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
 from vo2_plant_sim.interface.samples import stamp_message
 from vo2_plant_sim.interface.topics import DIAGNOSTICS, SAMPLE_QOS
@@ -17,6 +18,8 @@ _LEVELS = {
     "warn": DiagnosticStatus.WARN,
     "error": DiagnosticStatus.ERROR,
 }
+_WATCH_S = 0.5
+_LINKS = "links"
 
 
 class Diagnostics:
@@ -30,6 +33,7 @@ class Diagnostics:
         self._node = node
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, SAMPLE_QOS)
         self._present: dict[str, tuple[str, str, dict[str, str]]] = {}
+        self._watched: list[Publisher] = []
         self._name = node.get_fully_qualified_name().lstrip("/")
         self.hardware_id = hardware_id
 
@@ -48,9 +52,21 @@ class Diagnostics:
         if before == (level, text, told):
             return
         self._present[topic] = (level, text, told)
-        self._send([topic], stamp_ns)
+        if topic != _LINKS:
+            self._send([topic], stamp_ns)
         if before is None or before[:2] != (level, text):
             self._log(topic, level, text, first=before is None)
+
+    def watch_listeners(self, publisher: Publisher) -> None:
+        """Report on `links` how many listeners the publisher has, again and again for who comes late."""
+        if not self._watched:
+            self._node.create_timer(_WATCH_S, self._report_listeners)
+        self._watched.append(publisher)
+
+    def _report_listeners(self) -> None:
+        counts = {publisher.topic_name: publisher.get_subscription_count() for publisher in self._watched}
+        self.report(_LINKS, "ok", "listeners of each topic", counts)
+        self._send([_LINKS], None)
 
     def beat(self, stamp_ns: int | None = None) -> None:
         """Publish all present statuses again."""
@@ -85,5 +101,5 @@ class Diagnostics:
             logger.error(f"{topic}: {text}")
         elif level == "warn":
             logger.warning(f"{topic}: {text}")
-        elif not first or topic != "input":
+        elif not first or topic not in ("input", _LINKS):
             logger.info(f"{topic}: {text}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from vo2_identification.demo.acts.identification import play
+from vo2_identification.demo.acts.loops import SIDE_ESTIMATE
 from vo2_identification.demo.stage import Stage
 
 __all__ = ["run"]
@@ -22,5 +23,6 @@ def run(stage: Stage) -> None:
             "fit": False,
         },
     )
+    stage.conductor.wait_for_sample(SIDE_ESTIMATE, stage.phases[-1].end_s)
     # the second opinion on the same samples is only wanted here
     stage.graph.end(*[each for each in stage.graph.processes if each.name.endswith("estimator_polynomial")])
