@@ -203,6 +203,8 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
     a = start
     fa = 0.0
     cut = start
+    known_at = start
+    known = 0.0
     first_piece = True
     while True:
         # the plays whose thresholds are passed by now, and where the next one waits
@@ -227,6 +229,8 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
             b = _next_knot(a, b, direction, packed, block)
         if first_piece:
             fa, slope_a = _evaluate(a, packed, block, members, constant, weight, active, order)
+            known_at = a
+            known = fa
             # a straight line from here would meet u half way to this cut: the root is likely in the short interval
             cut = a + direction * 2.0 * abs(fa - u) / max(abs(slope_a), 1e-300)
             if abs(fa - u) < best - tolerance:
@@ -280,8 +284,13 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
                         return True, middle, gap
                     continue
                 if abs(slope) > 0.5 * curvature * h:
-                    fn, _ = _evaluate(near, packed, block, members, constant, weight, active, order)
+                    # f is continuous, so the far end of the interval before serves as this one's near end
+                    fn = known
+                    if near != known_at:
+                        fn, _ = _evaluate(near, packed, block, members, constant, weight, active, order)
                     ff, _ = _evaluate(far, packed, block, members, constant, weight, active, order)
+                    known_at = far
+                    known = ff
                     if abs(fn - u) < best - tolerance:
                         best = abs(fn - u)
                         best_v = near
