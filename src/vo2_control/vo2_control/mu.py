@@ -91,6 +91,9 @@ def _largest_singular_value(m: Complex) -> Array:
     if m.shape[-2] > m.shape[-1]:
         m = np.swapaxes(m, -1, -2)
     gram = m @ np.swapaxes(m.conj(), -1, -2)
+    if gram.shape[-1] == 2:
+        first, last = gram[..., 0, 0].real, gram[..., 1, 1].real
+        return np.sqrt(0.5 * (first + last) + np.hypot(0.5 * (first - last), np.abs(gram[..., 0, 1])))
     return np.sqrt(np.maximum(np.linalg.eigvalsh(gram)[..., -1], 0.0))
 
 

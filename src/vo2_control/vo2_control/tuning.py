@@ -148,12 +148,12 @@ def tune_pid(
     least = math.inf
     best: PidGains | None = None
     grids = [
-        np.geomspace(3e-3, 1.5, 24),
-        np.array([0.0, 0.25, 0.5, 1.0]) if derivative else np.zeros(1),
-        np.geomspace(0.02, 1.0, 7) if cost else np.ones(1),
+        np.geomspace(3e-3, 1.5, 14 if cost else 30),
+        np.array([0.0, 0.3, 0.8]) if derivative else np.zeros(1),
+        np.geomspace(0.02, 1.0, 6) if cost else np.ones(1),
     ]
     chosen = np.zeros(3)
-    for _ in range(4):
+    for _ in range(5):
         for kp_share, lead, ki_share in itertools.product(*grids):
             kp = kp_share * kp_scale
             kd = lead * kp * delay
@@ -176,11 +176,11 @@ def tune_pid(
 
 
 def _closer(grid: NDArray[np.float64], value: float) -> NDArray[np.float64]:
-    """Five points around the best one, between its neighbours in the grid."""
+    """Three points around the best one, half as far apart as its neighbours in the grid."""
     if grid.size == 1:
         return grid
     k = int(np.argmin(np.abs(grid - value)))
-    return np.linspace(grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)], 5)
+    return np.linspace(grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)], 5)[1:4]
 
 
 class _Search:

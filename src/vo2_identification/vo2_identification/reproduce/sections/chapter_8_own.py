@@ -40,6 +40,8 @@ DESIGN_DEVICES = 4
 """Devices that the design is made from; their seeds are not among the draws it is judged on."""
 DESIGN_SEED = 900_000
 TIME_CONSTANT_SPREAD = 0.2
+RESPONSE_S = 5.0
+"""Feedforward's response, a fifth of the thermal time constant: faster tracks better and costs control effort."""
 LOST_M = 25e-6
 """An error of the last quarter above this counts as instability: a third of the range, far above any cycle."""
 
@@ -77,7 +79,10 @@ def make_designs(context: Context) -> Designs:
     )
     schemes = [self_sensing("composite", parameters) for _, parameters in identified]
     wanted, _ = reference("multi")
-    ahead = [feedforward_from_model(parameters, PERIOD_S).run(wanted)[0] for _, parameters in identified]
+    ahead = [
+        feedforward_from_model(parameters, PERIOD_S, response_s=RESPONSE_S).run(wanted)[0]
+        for _, parameters in identified
+    ]
 
     def cost(law: LinearLaw, feedforward: bool) -> float:
         errors = []
@@ -121,7 +126,7 @@ def compare(job: tuple[Designs, int]) -> dict[tuple[str, str], Merit]:
     composite, polynomial = (self_sensing(kind, parameters) for kind in ("composite", "polynomial"))
     found = {}
     for kind in EXPERIMENTS:
-        ahead = feedforward_from_model(parameters, PERIOD_S).run(reference(kind)[0])[0]
+        ahead = feedforward_from_model(parameters, PERIOD_S, response_s=RESPONSE_S).run(reference(kind)[0])[0]
         loops = (
             (designs.pid, composite, None),
             (designs.robust, composite, None),
@@ -146,7 +151,9 @@ def survive(job: tuple[Designs, int]) -> tuple[float, float]:
     coefficients[Coefficient.TIME_CONSTANT] *= factor
     device = replace(device, coefficients=coefficients)
     calibration = calibrate(device, seed)
-    ahead = feedforward_from_model(designs.parameters, PERIOD_S).run(reference("multi")[0])[0]
+    ahead = feedforward_from_model(designs.parameters, PERIOD_S, response_s=RESPONSE_S).run(
+        reference("multi")[0]
+    )[0]
     result = experiment(
         "noise",
         device,
