@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from vo2_models.hysteresis import (
     CPI,
@@ -63,6 +63,13 @@ def random_model(seed, part, *, family, shared, n=6):
 
 
 @given(seeds, parts, st.sampled_from(["tanh", "linear", "table"]), st.booleans(), sequences)
+@example(
+    10266,
+    Polynomial([0.1, -0.5, 0.0, 0.05]),
+    "tanh",
+    True,
+    [2.145622491836548, 0.0, -1.3046875, 0.0, -1.3046875],
+)
 @settings(max_examples=150, deadline=None)
 def test_every_reachable_output_is_reached_by_the_nearest_input(seed, part, family, shared, values):
     """Each wish is the output of some input from the present state; the answer gives it and is not farther."""

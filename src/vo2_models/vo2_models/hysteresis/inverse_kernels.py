@@ -297,6 +297,9 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
                     if abs(ff - u) < best - tolerance:
                         best = abs(ff - u)
                         best_v = far
+                    # a solution at an end, such as a reversal point revisited, may show no change of sign after rounding
+                    if not nearest and abs(fn - u) <= tolerance:
+                        return True, near, abs(fn - u)
                     if (fn - u) * (ff - u) <= 0.0:
                         v = _root(
                             near,
@@ -314,6 +317,8 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
                             order,
                         )
                         return True, v, 0.0
+                    if not nearest and abs(ff - u) <= tolerance:
+                        return True, far, abs(ff - u)
                     continue
                 stack[depth, 0] = middle
                 stack[depth, 1] = far
