@@ -58,8 +58,7 @@ def random_figure(data: dict[str, PhaseData]) -> str:
         left.set(xlabel="time [s]", ylabel="tip deflection [µm]")
         right.set(xlabel="|estimate − true| [µm]", ylabel="share of samples below [%]")
         right.set_xscale("log")
-        for axes in (left, right):
-            axes.legend()
+        figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3)
         return figure_html(
             figure, "Random current levels, open loop: estimates (first 0.8 s) and how large the errors are."
         )
@@ -91,7 +90,7 @@ def tracking_figure(signal: str, data: dict[str, PhaseData]) -> str:
         )
         top.set(ylabel="true deflection [µm]", title=_TITLES[signal])
         bottom.set(xlabel="time [s]", ylabel="error [µm]", ylim=(-6, 6))
-        top.legend(ncols=3)
+        figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=3)
         return figure_html(
             figure,
             f"{_TITLES[signal]}: true deflection under control on the estimate, and its distance from the reference.",

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from vo2_models.device.model import DeviceModel
-from vo2_models.recording import HEATER_CURRENT
+from vo2_models.recording import HEATER_CURRENT, Recording
 from vo2_plant_sim.interface.model import operating_point
 
 from vo2_identification.bags.reading import commanded_current
@@ -86,13 +88,21 @@ def _identification(stage: Stage) -> str:
     recording = recording.slice(1, len(recording))
     model = DeviceModel.load(stage.model_file)
     simulated = model.simulate(commanded, dt=recording.sample_period_s, noise=False)
+    # what a level settles to: the last sample of each hold
+    settled = np.flatnonzero(np.diff(commanded))
     return section(
         "Identification",
-        identification_figure(recording, simulated),
+        identification_figure(_picked(recording, settled), _picked(simulated, settled)),
         paragraph(
             f"{len(recording)} samples. The resistance law has {len(model.resistance.weights)} plays, "  # type: ignore[arg-type]
             f"the deflection law {len(model.deflection.weights)}; the model file beside this page loads into every node."  # type: ignore[arg-type]
         ),
+    )
+
+
+def _picked(recording: Recording, index: NDArray[np.intp]) -> Recording:
+    return Recording(
+        recording.time_s[index], {name: values[index] for name, values in recording.channels.items()}
     )
 
 

@@ -18,6 +18,7 @@ from vo2_identification.report.page import paragraph, section, table
 
 __all__ = ["run"]
 
+_SECOND_PASS = "second_pass"
 _DATA = Path("..") / "shared" / "data"
 
 
@@ -108,7 +109,7 @@ def _side_by_side(stage: Stage, found: list[tuple[_Rig, Path]]) -> list[str]:
         graph.wait(process, 60.0)
     for rig in rigs:
         conductor.trigger(f"{rig.space}/identifier/start")
-    _replay(stage, rigs)
+    _replay(stage, rigs, "measurement")
     for rig in rigs:
         status = f"{rig.space.strip('/')}/identifier: progress"
 
@@ -118,15 +119,21 @@ def _side_by_side(stage: Stage, found: list[tuple[_Rig, Path]]) -> list[str]:
         conductor.wait_for(f"the model of {rig.name}", ended, 90.0)
         if conductor.value(status, "state") != "done":
             raise GraphError(f"{rig.name}: {conductor.statuses[status][1]}")
-    _replay(stage, rigs)
-    conductor.pause(0.3)
+    _replay(stage, rigs, _SECOND_PASS)
+    conductor.pause(0.5)
     graph.end()
     return [_evaluate(stage, rig) for rig in rigs]
 
 
 def _start_nodes(stage: Stage, rig: _Rig) -> None:
     drive = {"drive_channel": "heater_voltage"}
-    stage.graph.start("estimator", namespace=rig.space, parameters={"kind": "drive", **drive})
+    # the estimator hears the second pass only: each pass then has one listener, which replay waits for
+    stage.graph.start(
+        "estimator",
+        namespace=rig.space,
+        parameters={"kind": "drive", **drive},
+        remap={"measurement": _SECOND_PASS},
+    )
     stage.graph.start(
         "identifier",
         namespace=rig.space,
@@ -146,14 +153,14 @@ def _start_nodes(stage: Stage, rig: _Rig) -> None:
     )
 
 
-def _replay(stage: Stage, rigs: list[_Rig]) -> None:
-    """Play the converted bags to the nodes of their rigs."""
+def _replay(stage: Stage, rigs: list[_Rig], topic: str) -> None:
+    """Play the converted bags on a topic of their rigs."""
     playing = [
         stage.graph.start(
             "replay",
             name=f"replay_{rig.name}",
             arguments=[str(stage.folder / "measured" / rig.name), "--rate", f"{rig.rate:g}"],
-            remap={"/vo2/measurement": f"{rig.space}/measurement"},
+            remap={"/vo2/measurement": f"{rig.space}/{topic}"},
         )
         for rig in rigs
     ]
@@ -169,8 +176,7 @@ def _evaluate(stage: Stage, rig: _Rig) -> str:
     ]
     drive, measured = recording["heater_voltage"], recording[rig.output]
     unseen = held_out(drive, rig.hold_out)
-    # the first pass was heard before there was a model
-    predicted = estimate[rig.output][-len(recording) :]
+    predicted = estimate[rig.output]
     if predicted.size != measured.size or not np.all(np.isfinite(predicted)):
         raise GraphError(
             f"{rig.name}: {np.sum(np.isfinite(predicted))} predictions for {measured.size} samples"
