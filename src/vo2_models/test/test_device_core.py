@@ -169,3 +169,19 @@ def test_latent_heat_conserves_enthalpy():
     assert np.all(run["true_temperature"][:20] <= plain["true_temperature"][:20] + 1e-9)
     assert np.all(run["true_temperature"][60:90] >= plain["true_temperature"][60:90] - 1e-9)
     assert np.max(plain["true_temperature"] - run["true_temperature"]) > 2.0
+
+
+def test_disk_cache_follows_every_compiled_neighbour():
+    """A stale compiled loop would give yesterday's physics: whatever it contains must be part of its key."""
+    from pathlib import Path
+
+    from vo2_models.device import chain
+
+    folder = Path(chain.__file__).parent
+    compiled = {
+        p.stem for p in folder.glob("*.py") if "@njit" in p.read_text() or "@intrinsic" in p.read_text()
+    }
+    source = Path(chain.__file__).read_text()
+    named = source[source.index("for name in (") : source.index("digest.update")]
+    for module in compiled - {"chain"} | {"coefficients", "state", "borrow"}:
+        assert f'"{module}"' in named, module

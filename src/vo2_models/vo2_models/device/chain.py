@@ -5,7 +5,10 @@ One loop serves the batch and the stream: a stream is a batch of one sample at a
 
 from __future__ import annotations
 
+import hashlib
 import math
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -113,76 +116,104 @@ def _sense(c, channel, value, normal, time, period, sample, memory, line):
     return min(max(out, c[at + N.LOW]), c[at + N.HIGH])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def run_chain(
-    kind, c, mode, packed_r, packed_d, poly_r, poly_d, levels, domains,
-    x, play_r, play_d, metallic, line, sensors, sensor_lines,
-    command, normals, out,
-):  # fmt: skip
-    """Run the chain over `command` (n,) [A] and fill `out` (n, COLUMNS); all memories are updated in place.
+def _sources() -> str:
+    """Digest of every file whose compiled code ends up inside `run_chain`."""
+    here = Path(__file__).parent
+    digest = hashlib.sha256()
+    for name in ("borrow", "coefficients", "core", "ensemble", "laws", "plays", "state"):
+        digest.update((here / f"{name}.py").read_bytes())
+    return digest.hexdigest()
 
-    `kind` : PLAYS or ENSEMBLE; `c` : coefficients; `mode` : (2, 4) exact step of the structural mode;
-    `packed_*`, `poly_*` : play banks and polynomials; `levels`, `domains` : (2, 2, n) sorted populations;
-    `normals` : (n, 4) standard normal numbers.
+
+def _compiled(version: str) -> Any:
+    """Return the compiled loop.
+
+    Numba's disk cache notices a change of this file only, although the loop contains the code of its neighbours; a
+    variable of the enclosing function is part of the cache's key, so their digest is passed as one.
     """
-    c, mode, poly_r, poly_d, x = borrow(c), borrow(mode), borrow(poly_r), borrow(poly_d), borrow(x)
-    packed_r, packed_d, play_r, play_d = borrow(packed_r), borrow(packed_d), borrow(play_r), borrow(play_d)
-    levels, domains, metallic, line = borrow(levels), borrow(domains), borrow(metallic), borrow(line)
-    sensors, sensor_lines = borrow(sensors), borrow(sensor_lines)
-    command, normals, out = borrow(command), borrow(normals), borrow(out)
-    period = c[C.SAMPLE_PERIOD]
-    parts = max(int(c[C.SUBSTEPS]), 1)
-    if x[S.STARTED] == 0.0:
-        x[S.STARTED] = 1.0
-        initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic)
-        x[S.RESISTANCE] = _film_resistance(kind, c, x, poly_r)
-        rest = _film_deflection(kind, c, x, poly_d)
-        x[S.CREPT] = rest
-        x[S.MODE] = rest
-        x[S.MODE_INPUT] = rest
-        sensors[1, 0] = _terminal_resistance(c, x, x[S.RESISTANCE], 0.0)
-        sensors[2, 0] = rest
-        sensors[3, 0] = x[S.STAGE]
-        for channel in range(4):
-            sensor_lines[channel, :] = sensors[channel, 0]
-    whole = int(c[C.DEAD_TIME] / period)
-    part = c[C.DEAD_TIME] - whole * period
-    for k in range(command.size):
-        sample = int(x[S.SAMPLE])
-        time = sample * period
-        current = _driver(c, x, command[k], period)
-        line[sample & _LINE] = current
-        # the held input changes inside the interval where the dead time is no whole number of samples
-        current_in = line[(sample - whole - 1) & _LINE]
-        h = part / parts
-        start = time - period
-        for j in range(0 if part > 0.0 else parts, 2 * parts):
-            if j == parts:
-                current_in = line[(sample - whole) & _LINE]
-                h = (period - part) / parts
-                start = time - period + part - parts * h
-            advance(
-                kind, c, x, current_in, h, start + j * h, packed_r, packed_d, play_r, play_d, levels, domains,
-                metallic,
-            )  # fmt: skip
-            if c[C.SENSE] != 0.0 or c[C.SENSE_FILM] != 0.0:
-                x[S.RESISTANCE] = _film_resistance(kind, c, x, poly_r)
-        film = _film_resistance(kind, c, x, poly_r)
-        x[S.RESISTANCE] = film
-        tip = _structure(c, x, mode, _film_deflection(kind, c, x, poly_d), period)
-        out[k, 0] = current
-        out[k, 1] = _terminal_resistance(c, x, film, current)
-        out[k, 2] = tip
-        out[k, 3] = x[S.STAGE]
-        for channel in range(4):
-            if c[_SENSORS + channel * PER_CHANNEL + N.IDEAL] != 0.0:
-                continue
-            out[k, channel] = _sense(
-                c, channel, out[k, channel], normals[k, channel], time, period, sample, sensors, sensor_lines
-            )  # fmt: skip
-        out[k, 4] = tip
-        out[k, 5] = x[S.FILM]
-        out[k, 6] = film
-        out[k, 7] = x[S.OUT_R]
-        out[k, 8] = x[S.OUT_D]
-        x[S.SAMPLE] += 1.0
+
+    @njit(cache=True, error_model="numpy", nogil=True)
+    def run_chain(
+        kind, c, mode, packed_r, packed_d, poly_r, poly_d, levels, domains,
+        x, play_r, play_d, metallic, line, sensors, sensor_lines,
+        command, normals, out,
+    ):  # fmt: skip
+        """Run the chain over `command` (n,) [A] and fill `out` (n, COLUMNS); all memories are updated in place.
+
+        `kind` : PLAYS or ENSEMBLE; `c` : coefficients; `mode` : (2, 4) exact step of the structural mode;
+        `packed_*`, `poly_*` : play banks and polynomials; `levels`, `domains` : (2, 2, n) sorted populations;
+        `normals` : (n, 4) standard normal numbers.
+        """
+        c, mode, poly_r, poly_d, x = borrow(c), borrow(mode), borrow(poly_r), borrow(poly_d), borrow(x)
+        packed_r, packed_d, play_r, play_d = (
+            borrow(packed_r),
+            borrow(packed_d),
+            borrow(play_r),
+            borrow(play_d),
+        )
+        levels, domains, metallic, line = borrow(levels), borrow(domains), borrow(metallic), borrow(line)
+        sensors, sensor_lines = borrow(sensors), borrow(sensor_lines)
+        command, normals, out = borrow(command), borrow(normals), borrow(out)
+        _ = version
+        period = c[C.SAMPLE_PERIOD]
+        parts = max(int(c[C.SUBSTEPS]), 1)
+        if x[S.STARTED] == 0.0:
+            x[S.STARTED] = 1.0
+            initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic)
+            x[S.RESISTANCE] = _film_resistance(kind, c, x, poly_r)
+            rest = _film_deflection(kind, c, x, poly_d)
+            x[S.CREPT] = rest
+            x[S.MODE] = rest
+            x[S.MODE_INPUT] = rest
+            sensors[1, 0] = _terminal_resistance(c, x, x[S.RESISTANCE], 0.0)
+            sensors[2, 0] = rest
+            sensors[3, 0] = x[S.STAGE]
+            for channel in range(4):
+                sensor_lines[channel, :] = sensors[channel, 0]
+        whole = int(c[C.DEAD_TIME] / period)
+        part = c[C.DEAD_TIME] - whole * period
+        for k in range(command.size):
+            sample = int(x[S.SAMPLE])
+            time = sample * period
+            current = _driver(c, x, command[k], period)
+            line[sample & _LINE] = current
+            # the held input changes inside the interval where the dead time is no whole number of samples
+            current_in = line[(sample - whole - 1) & _LINE]
+            h = part / parts
+            start = time - period
+            for j in range(0 if part > 0.0 else parts, 2 * parts):
+                if j == parts:
+                    current_in = line[(sample - whole) & _LINE]
+                    h = (period - part) / parts
+                    start = time - period + part - parts * h
+                advance(
+                    kind, c, x, current_in, h, start + j * h, packed_r, packed_d, play_r, play_d, levels, domains,
+                    metallic,
+                )  # fmt: skip
+                if c[C.SENSE] != 0.0 or c[C.SENSE_FILM] != 0.0:
+                    x[S.RESISTANCE] = _film_resistance(kind, c, x, poly_r)
+            film = _film_resistance(kind, c, x, poly_r)
+            x[S.RESISTANCE] = film
+            tip = _structure(c, x, mode, _film_deflection(kind, c, x, poly_d), period)
+            out[k, 0] = current
+            out[k, 1] = _terminal_resistance(c, x, film, current)
+            out[k, 2] = tip
+            out[k, 3] = x[S.STAGE]
+            for channel in range(4):
+                if c[_SENSORS + channel * PER_CHANNEL + N.IDEAL] != 0.0:
+                    continue
+                out[k, channel] = _sense(
+                    c, channel, out[k, channel], normals[k, channel], time, period, sample, sensors, sensor_lines
+                )  # fmt: skip
+            out[k, 4] = tip
+            out[k, 5] = x[S.FILM]
+            out[k, 6] = film
+            out[k, 7] = x[S.OUT_R]
+            out[k, 8] = x[S.OUT_D]
+            x[S.SAMPLE] += 1.0
+
+    return run_chain
+
+
+run_chain = _compiled(_sources())
+"""The compiled loop; see its docstring."""
