@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import inspect
 import signal
 import sys
@@ -85,6 +86,10 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
         for make in make_nodes:
             nodes.append(make())
             executor.add_node(nodes[-1])
+        # what is loaded by now stays: without this every full collection walks the compiler's objects
+        # and stops the loop for a tenth of a second
+        gc.collect()
+        gc.freeze()
         while rclpy.ok() and not stop.is_set:
             executor.spin_once(timeout_sec=_SPIN_S)
         return 0
