@@ -70,7 +70,7 @@ def _late(values: Floats, constant: float, dt: float) -> Floats:
     return np.asarray(values + gap)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _seen_temperature(kind, c, packed_d, out, seen):
     """What each transition sees: film temperature plus training, incongruency and structural offset."""
     x = np.zeros(_SLOTS)
@@ -87,7 +87,7 @@ def _seen_temperature(kind, c, packed_d, out, seen):
         seen[k, 1] = value + c[C.TRANSITION_OFFSET]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _finish(kind, c, mode, poly_d, period, rest, at_rest, film, out, result):
     """Terminals, structure and sensors of both channels, once more, on the corrected film."""
     x = np.zeros(_SLOTS)

@@ -26,27 +26,28 @@ class Thresholds:
 
     Attributes
     ----------
-    excess : a recording differs if the residual's power, base refitted, exceeds the noise by this share...
-    channel_excess : ... or a single channel's does by this one
-    gain : least drop of q of a named effect; the largest false one on recordings without effect is below
-    share : least share of the excess that a name explains on held-out blocks
-    complete : share of the excess that names must explain together; else "unknown" is among the answers
+    gain : least drop of q of a named effect; the largest on recordings without effect were half of it
+    slack : residual power beyond the noise, in noise powers, that unchanged devices show too
+    complete : share of the excess beyond that which names must explain together, else "unknown" is the answer
+    share : least share of a name's gain that must show on held-out blocks, and of the excess that an unnamed
+        correction must remove there
     second : a second effect explains at least this share of what the first leaves over...
     second_of_all : ... and this share of the whole excess: below it is how far an equation of the first may be off
-    small : excess below which nothing more is looked for, in noise powers
+    excess, channel_excess : where nothing is named, a recording differs if the residual's power exceeds the noise
+        by this much, or a single channel's by that
     plain : excess below which a residual that nothing predicts on held-out blocks is taken for noise or misfit
     rival : rivals within this difference of q (5 sigma) are not told apart
     temper : how many times more the likelihood ratio must be than white noise would need
     """
 
-    excess: float = 0.25
-    channel_excess: float = 0.4
-    gain: float = 60.0
-    share: float = 0.25
+    gain: float = 150.0
+    slack: float = 0.2
     complete: float = 0.85
+    share: float = 0.25
     second: float = 0.4
     second_of_all: float = 0.04
-    small: float = 0.35
+    excess: float = 0.25
+    channel_excess: float = 0.4
     plain: float = 3.0
     rival: float = 25.0
     temper: float = 8.0
@@ -59,12 +60,14 @@ class HeldOut:
     Attributes
     ----------
     share : of the excess residual energy explained
+    drop : of the residual energy
     before, after, floor : channel -> root mean square in judged units: nominal simulation, explained, noise
     spread : largest relative spread of a parameter over the folds, in standard deviations of the fit
     stable : whether every fold agrees in sign and within a factor of two on every magnitude
     """
 
     share: float
+    drop: float
     before: dict[str, float]
     after: dict[str, float]
     floor: dict[str, float]
@@ -140,7 +143,14 @@ def held_out(
         for name, by in squares.items()
     }
     floor = {c: evidence.nominal.noise[c].level for c in numbers}
-    return HeldOut(share, root["before"], root["after"], floor, _stable(explanation, estimates))
+    return HeldOut(
+        share,
+        before_energy - after_energy,
+        root["before"],
+        root["after"],
+        floor,
+        _stable(explanation, estimates),
+    )
 
 
 def _stable(explanation: Explanation | None, estimates: Sequence[Sequence[dict[str, float]]]) -> bool:

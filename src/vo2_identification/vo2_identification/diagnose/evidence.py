@@ -12,7 +12,9 @@ lowers q: the refit of the base is in it, without being made.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -27,6 +29,8 @@ __all__ = ["Evidence", "Row", "gather"]
 
 Floats = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float | str]]
+CORES = min(os.cpu_count() or 1, 8)
+"""Simulations that run side by side; the compiled chain holds no lock."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,13 @@ class Evidence:
             change = change - self.base[:, -shift.size :] @ shift
         return change
 
+    def deviations(self, several: Sequence[Effects], shift: Floats | None = None) -> list[Floats]:
+        """`deviation` of several sets of effects, simulated side by side on the cores."""
+        if len(several) < 2:
+            return [self.deviation(effects, shift) for effects in several]
+        with ThreadPoolExecutor(max_workers=min(len(several), CORES)) as pool:
+            return list(pool.map(lambda effects: self.deviation(effects, shift), several))
+
     def absorb(self, vector: Floats) -> Floats:
         """Weights (k,) with which the base absorbs a whitened vector."""
         return cho_solve(self._factor, self.base.T @ vector)  # type: ignore[attr-defined]
@@ -131,6 +142,14 @@ class Evidence:
     def left(self, vector: Floats) -> Floats:
         """What the base leaves of a whitened vector (or columns): C^-1 v, C the covariance of noise and base."""
         return vector - self.base @ cho_solve(self._factor, self.base.T @ vector)  # type: ignore[attr-defined]
+
+    def left_at(self, place: NDArray[np.intp], columns: Floats) -> Floats:
+        """What the base leaves of whitened columns (m, p) that are zero but at the m samples `place`."""
+        own = self.base[place]
+        used = np.any(own != 0.0, axis=0)
+        inner = np.zeros((self.base.shape[1], columns.shape[1]))
+        inner[used] = own[:, used].T @ columns
+        return np.asarray(columns - own[:, used] @ cho_solve(self._factor, inner)[used])  # type: ignore[attr-defined]
 
     def chi_square(self, vector: Floats) -> float:
         """q of a whitened vector."""

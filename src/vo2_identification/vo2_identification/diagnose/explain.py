@@ -126,10 +126,9 @@ def score(
         again = []
         for first in range(0, len(trials), BATCH):
             some = trials[first : first + BATCH]
-            columns = np.empty((residual.size, len(some)))
-            for place, (hypothesis, values) in enumerate(some):
+            columns = np.column_stack(evidence.deviations([h.effects(values) for h, values in some]))
+            for _ in some:
                 tick()
-                columns[:, place] = evidence.deviation(hypothesis.effects(values))
             own = evidence.chi_squares(columns)
             along = left @ columns
             for place, (hypothesis, values) in enumerate(some):
@@ -254,22 +253,32 @@ class _Joint:
     def deviation(self, at: Sequence[Mapping[str, float]], shift: Floats) -> Floats:
         """Whitened change of the simulation."""
         self.tick()
+        return self.evidence.deviation(self._merged(at), shift if np.any(shift) else None)
+
+    def _merged(self, at: Sequence[Mapping[str, float]]) -> dict[str, dict[str, float | str]]:
         merged: dict[str, dict[str, float | str]] = {}
         for hypothesis, given in zip(self.hypotheses, at, strict=True):
             merged |= hypothesis.effects(given)
-        return self.evidence.deviation(merged, shift if np.any(shift) else None)
+        return merged
 
     def linearise(self, values: Sequence[Mapping[str, float]], change: Floats, shift: Floats) -> None:
         """Set `tangent` (N, p) by differences."""
         tangent = np.zeros((change.size, len(self.coordinates)))
+        trials, lengths, places = [], [], []
         for place, (k, name) in enumerate(self.coordinates):
             for step in (0.5, -0.5):  # at a bound: look the other way
                 moved = [dict(v) for v in values]
                 moved[k][name] = _moved(self.hypotheses[k], name, values[k][name], step)
                 actual = _distance(self.hypotheses[k], name, values[k][name], moved[k][name])
                 if abs(actual) > 0.1:
-                    tangent[:, place] = (self.deviation(moved, shift) - change) / actual
+                    trials.append(self._merged(moved))
+                    lengths.append(actual)
+                    places.append(place)
+                    self.tick()
                     break
+        changes = self.evidence.deviations(trials, shift if np.any(shift) else None)
+        for place, length, moved_change in zip(places, lengths, changes, strict=True):
+            tangent[:, place] = (moved_change - change) / length
         self.tangent = tangent
 
     def descend(

@@ -26,6 +26,8 @@ __all__ = ["Hypothesis", "hypotheses"]
 
 Floats = NDArray[np.float64]
 Values = Mapping[str, float]
+REPEATED = 8
+"""So often a converter at its limit gives the same value; noise does not."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,13 @@ def _starts(
             seen = _values(evidence, signal or HEATER_CURRENT)
             spread = float(np.ptp(seen))
             upper = _neutral(p) > 0
-            ends = np.quantile(seen, [1.0, 0.98, 0.9, 0.8, 0.6] if upper else [0.0, 0.02, 0.1, 0.2, 0.4])
+            end = float(np.max(seen) if upper else np.min(seen))
+            if signal:  # a converter repeats its end value exactly, noise and all
+                if np.count_nonzero(seen == end) < REPEATED:
+                    continue
+                ends = np.array([end])
+            else:
+                ends = np.quantile(seen, [1.0, 0.98, 0.9, 0.8, 0.6] if upper else [0.0, 0.02, 0.1, 0.2, 0.4])
             starts += [{p.name: float(end)} for end in dict.fromkeys(ends.tolist())]
             scales[p.name] = 0.02 * spread
         return starts, scales

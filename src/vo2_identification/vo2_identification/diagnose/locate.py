@@ -117,7 +117,7 @@ def turning_points(temperature: Floats) -> tuple[Floats, Floats]:
     return last, before
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _turns(temperature, dead):
     n = temperature.size
     last = np.empty(n)

@@ -18,6 +18,7 @@ from vo2_identification.diagnose.explain import Explanation, Score, fit_jointly,
 from vo2_identification.diagnose.hypotheses import Hypothesis, hypotheses
 from vo2_identification.diagnose.locate import Breakdown, breakdown
 from vo2_identification.diagnose.next_experiment import propose
+from vo2_identification.diagnose.noise import fit_noise
 from vo2_identification.diagnose.nominal import Nominal
 from vo2_identification.diagnose.part import prepare
 from vo2_identification.diagnose.result import Diagnosis, NextExperiment
@@ -30,6 +31,8 @@ Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 SHORTLIST = 8
 """Hypotheses that are refitted in full."""
+QUIET = 1.8
+"""Residual power over noise power up to which a channel's residual is taken for its noise."""
 UNSEEN = 50.0
 """An effect whose typical size would change q by less than this is not excited."""
 
@@ -142,6 +145,7 @@ def study(
         parts.append(prepare(recording, nominal, name=name))
     evidence = gather(nominal, parts, say=clock.say)
     evidence = _started(evidence, nominal, clock)
+    nominal, evidence = _recoloured(nominal, evidence, clock)
     shift = evidence.absorb(evidence.residual)[-len(evidence.names) :] if evidence.names else np.zeros(0)
     q = evidence.chi_square(evidence.residual)
     if np.any(np.abs(shift) > 2.0):
@@ -152,12 +156,6 @@ def study(
         nominal, evidence, evidence, tuple(findings), limits, excess=excess, total_excess=total,
         breakdown=tuple(breakdown(evidence, left)),
     )  # fmt: skip
-    combs = any(part.comb for part in parts)
-    differs = total > limits.excess or any(v > limits.channel_excess for v in excess.values())
-    if not differs and not combs:
-        clock.say("judging on held-out blocks")
-        judged = held_out(evidence, None)
-        return replace(base, judged=judged, seconds=time.perf_counter() - began)
     return replace(_explained(base, clock), seconds=time.perf_counter() - began)
 
 
@@ -186,6 +184,32 @@ def _started(evidence: Evidence, nominal: Nominal, clock: _Clock) -> Evidence:
     return gather(nominal, parts, shapes=evidence.shapes, say=clock.say)
 
 
+def _recoloured(nominal: Nominal, evidence: Evidence, clock: _Clock) -> tuple[Nominal, Evidence]:
+    """Take level and colour of a channel's noise from the recording itself where little but noise is left in it.
+
+    A calibration is slow and its noise may have another colour; where an effect is in the channel its residual is
+    no noise, and the calibration's stands.
+    """
+    left = evidence.residual - evidence.base @ evidence.absorb(evidence.residual)
+    noise = dict(nominal.noise)
+    for channel in dict.fromkeys(row.channel for row in evidence.rows):
+        rows = [row for row in evidence.rows if row.channel == channel]
+        power = [float(np.mean(left[row.where][evidence.weight[row.where] > 0] ** 2)) for row in rows]
+        if not all(0.3 < p < QUIET for p in power):
+            continue
+        known = noise[channel]
+        plain = [known.color(left[row.where]) for row in rows]
+        found = fit_noise(
+            np.concatenate(plain), np.concatenate([evidence.weight[row.where] > 0 for row in rows])
+        )
+        if 0.5 < found.level / known.level < 1.6:
+            noise[channel] = found
+    if noise == dict(nominal.noise):
+        return nominal, evidence
+    nominal = replace(nominal, noise=noise)
+    return nominal, gather(nominal, evidence.parts, say=clock.say)
+
+
 def _excess(evidence: Evidence, left: Floats, q: float) -> tuple[dict[str, float], float]:
     """Excess power over noise power, by channel and of all: each channel's part of q over its samples."""
     own: dict[str, list[float]] = {}
@@ -208,7 +232,7 @@ def _explained(base: Study, clock: _Clock) -> Study:
     clock.say(f"trying {len(candidates)} effects")
     scores = score(evidence, candidates, evidence.residual, tick=clock.tick)
     clock.say("refitting the most promising")
-    promising = [s for s in scores if s.gain > 0.02 * max(scores[0].gain, 0.0)][:SHORTLIST]
+    promising = [s for s in scores if s.gain > 0.05 * max(scores[0].gain, 0.0)][:SHORTLIST]
     singles = [fit_jointly(evidence, [s.hypothesis], [s.start], tick=clock.tick) for s in promising]
     singles.sort(key=lambda e: e.chi_square + len(e.coordinates) * np.log(evidence.count))
     not_excited = tuple(_not_excited(scores))
@@ -218,23 +242,31 @@ def _explained(base: Study, clock: _Clock) -> Study:
     if first is not None and first.gain > limits.gain:
         final, chosen = _relinearised(base, first, clock)
         remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0
-        if _incomplete(remaining, base.total_excess, limits):
+        if final.count * (remaining + 0.1) > 0.02 * chosen.gain:
             pair = _second(base, final, chosen, candidates, clock)
             if pair is not None:
                 final, chosen, rivals, remaining = pair
     clock.say("judging on held-out blocks")
     judged = held_out(final, chosen, reference=evidence, tick=clock.tick)
     outside = None
-    share = 1.0 - max(remaining, 0.0) / max(base.total_excess, 1e-9)
-    named = chosen is not None and share >= limits.share and judged.stable and not chosen.at_bound
-    if not named or (remaining > limits.small and share < limits.complete):
-        clock.say("shaping what has no name")
-        folds = block_folds(evidence)
-        outside = describe_unknown(evidence, left, folds)
-        chosen_kept = chosen if named and share >= limits.complete else None
-        if chosen_kept is None:
-            final, judged = evidence, held_out(evidence, None)
-            chosen = None
+    if chosen is not None:
+        rest = evidence.count * max(remaining - limits.slack, 0.0)
+        complete = chosen.gain / (chosen.gain + rest)
+        shows = judged.drop > limits.share * chosen.gain
+        if chosen.at_bound or not judged.stable or not shows or complete < limits.complete:
+            chosen, final = None, evidence
+    if chosen is None:
+        judged = held_out(evidence, None)
+        loud = base.total_excess > limits.excess or max(base.excess.values()) > limits.channel_excess
+        if loud:
+            clock.say("shaping what has no name")
+            outside = describe_unknown(evidence, left, block_folds(evidence))
+        if outside is None or (outside.share < limits.share and base.total_excess < limits.plain):
+            # more residual than noise at most, and nothing in it that predicts anything
+            return replace(
+                base, scores=tuple(scores), singles=tuple(singles), judged=judged, remaining_excess=remaining,
+                not_excited=not_excited,
+            )  # fmt: skip
     best = evidence.left(evidence.residual) if chosen is None else _trace(final, chosen)
     pairs = _rival_pairs(base, chosen, rivals, remaining)
     proposal = None
@@ -242,16 +274,6 @@ def _explained(base: Study, clock: _Clock) -> Study:
         clock.say("designing the next experiment")
         rival = next(r for r in rivals if pairs[0][1] in (h.record.id for h in r.hypotheses))
         proposal = propose(evidence, base.nominal, chosen, rival, names=pairs[0], say=clock.say)
-    if (
-        chosen is None
-        and (outside is None or outside.share < limits.share)
-        and base.total_excess < limits.plain
-    ):
-        # more residual than noise, but nothing in it that predicts anything: misfit or noise of another colour
-        return replace(
-            base, scores=tuple(scores), singles=tuple(singles), judged=judged, remaining_excess=remaining,
-            not_excited=not_excited,
-        )  # fmt: skip
     return replace(
         base,
         differs=True,
@@ -306,10 +328,6 @@ def _rival_pairs(
             if pair not in pairs:
                 pairs.append(pair)
     return pairs
-
-
-def _incomplete(remaining: float, excess: float, limits: Thresholds) -> bool:
-    return remaining > limits.small * 0.5 and remaining > 0.02 * excess
 
 
 def _relinearised(base: Study, best: Explanation, clock: _Clock) -> tuple[Evidence, Explanation]:

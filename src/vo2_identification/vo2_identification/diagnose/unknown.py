@@ -85,7 +85,10 @@ def describe_unknown(
         if excess < 0.2 * count:
             before, after = before + energy - count, after + energy - count
             continue
-        groups = _groups(evidence, own, residual)
+        groups = {
+            name: (words, evidence.left_at(place, block))
+            for name, (words, block) in _groups(evidence, own, residual).items()
+        }
         chosen: list[tuple[str, str, float, float]] = []
         columns = np.zeros((place.size, 0))
         best_energy, best = energy, np.zeros(place.size)
@@ -151,7 +154,23 @@ def _groups(evidence: Evidence, rows: list[Row], residual: Floats) -> dict[str, 
             noise = evidence.nominal.noise[row.channel]
             blocks.append(noise.whiten(builder(part, response, row)) * evidence.weight[row.where, None])
         found[name] = (words, np.concatenate(blocks))
+    heat = _felt_temperature(evidence, rows)
+    if heat is not None:
+        slow = [_spline(evidence.parts[row.part].time_s, 45) for row in rows]
+        found["felt temperature"] = (
+            "a temperature that changes with time by itself: something else heats",
+            np.concatenate(slow) * heat[:, None],
+        )
     tone = _tone(evidence, rows, residual)
+    if tone and heat is not None:
+        waves = []
+        for row in rows:
+            phase = 2 * np.pi * tone * evidence.parts[row.part].time_s
+            waves.append(np.column_stack([f(k * phase) for k in (1, 2, 3) for f in (np.sin, np.cos)]))
+        found["felt tone"] = (
+            f"a temperature that changes periodically at {tone:.4g} Hz",
+            np.concatenate(waves) * heat[:, None],
+        )
     if tone:
         blocks = []
         for row in rows:
@@ -162,6 +181,15 @@ def _groups(evidence: Evidence, rows: list[Row], residual: Floats) -> dict[str, 
             blocks.append(noise.whiten(raw) * evidence.weight[row.where, None])
         found["tone"] = (f"time, periodically at {tone:.4g} Hz: interference", np.concatenate(blocks))
     return found
+
+
+def _felt_temperature(evidence: Evidence, rows: list[Row]) -> Floats | None:
+    """Whitened change of the channel per kelvin of ambient temperature, along its recordings."""
+    if "thermal.ambient" not in evidence.names:
+        return None
+    column = evidence.base[:, evidence.names.index("thermal.ambient") - len(evidence.names)]
+    place = np.concatenate([np.arange(row.where.start, row.where.stop) for row in rows])
+    return np.asarray(column[place])
 
 
 def _tone(evidence: Evidence, rows: list[Row], residual: Floats) -> float:
@@ -187,7 +215,7 @@ def _spline(x: Floats, count: int) -> Floats:
 
 
 def _of_value(part: Part, response: Response, row: Row) -> Floats:
-    return _spline(response.channels[row.channel], 12)
+    return _spline(response.channels[row.channel], 40)
 
 
 def _of_temperature(part: Part, response: Response, row: Row) -> Floats:

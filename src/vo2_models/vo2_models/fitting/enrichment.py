@@ -68,7 +68,7 @@ def everett_table(centre: Floats, half_width: Floats, walls: Floats) -> Floats:
     return table
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _features_kernel(temperature, low, step, table, out):
     size, _, m = table.shape
     turns = np.zeros(DEEPEST)

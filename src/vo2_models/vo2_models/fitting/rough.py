@@ -17,7 +17,7 @@ __all__ = ["cell_features", "cell_sum"]
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _move(x, last, p):
     """Bring the cells' on-fractions p (a, w) from grid coordinate `last` to x; beta of cell (i, j) is i - 1 - j."""
     rows, widths = p.shape
@@ -36,7 +36,7 @@ def _move(x, last, p):
                     p[i, j] = c
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _features(temperature, low, step, chosen, rows, widths, out):
     p = np.zeros((rows, widths))
     flat = p.reshape(-1)
@@ -49,7 +49,7 @@ def _features(temperature, low, step, chosen, rows, widths, out):
             out[k, b] = flat[chosen[b]]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _sum(temperature, low, step, weights, out):
     rows, widths = weights.shape
     p = np.zeros((rows, widths))
