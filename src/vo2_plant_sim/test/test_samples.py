@@ -31,11 +31,17 @@ def message(stamp_ns, names, values, device="integrated"):
 
 
 @given(STAMPS, NAMES, st.text("xyz", max_size=9), st.data())
-def test_written_bytes_are_those_of_the_message_class(stamp_ns, names, device, data):
+def test_what_is_written_is_what_the_message_class_reads(stamp_ns, names, device, data):
     values = data.draw(st.lists(st.floats(allow_nan=False), min_size=len(names), max_size=len(names)))
     written = SampleWriter(names, device).write(stamp_ns, values)
-    assert written == serialize_message(message(stamp_ns, names, values, device))
-    assert to_stamp_ns(deserialize_message(written, JointState).header.stamp) == stamp_ns
+    expected = message(stamp_ns, names, values, device)
+    assert deserialize_message(written, JointState) == expected
+    assert to_stamp_ns(expected.header.stamp) == stamp_ns
+
+
+def test_padding_is_zero_so_that_equal_samples_are_equal_bytes():
+    written = SampleWriter(("a", "bcdefg"), "x").write(0, (0.0, 0.0))
+    assert set(written) == {0, 1, 2, 7, *b"xabcdefg"}
 
 
 @given(STAMPS, NAMES, NAMES, st.data())

@@ -8,7 +8,6 @@ buffer with the layout seen last and unpacks. Any other layout is read by the or
 from __future__ import annotations
 
 import struct
-from array import array
 from collections.abc import Sequence
 
 from builtin_interfaces.msg import Time
@@ -48,13 +47,8 @@ class SampleWriter:
 
     def __init__(self, channels: Sequence[str], device: str = "") -> None:
         self.channels = tuple(channels)
-        message = JointState()
-        message.header.frame_id = device
-        message.name = list(self.channels)
-        message.position = array("d", [0.0] * len(self.channels))
-        self._buffer = bytearray(serialize_message(message))
+        self._buffer, self._values_at = _blank_sample(self.channels, device)
         self._values = struct.Struct(f"<{len(self.channels)}d")
-        self._values_at = _position_offset(bytes(self._buffer))
 
     def write(self, stamp_ns: int, values: Sequence[float]) -> bytes:
         """Return the serialized sample; `values` in the order of the channels, SI units."""
@@ -122,6 +116,40 @@ class SampleReader:
             pick = tuple(self.names.index(name) if name in self.names else -1 for name in self.channels)
             self._pick = None if pick == tuple(range(len(self.names))) else pick
         return stamp_ns, tuple(float(positions.get(name, _NAN)) for name in self.channels)
+
+
+def _blank_sample(channels: Sequence[str], device: str) -> tuple[bytearray, int]:
+    """Return a serialized JointState of zeros and where its positions begin.
+
+    Written here, not by the message class, which leaves whatever memory held in the padding between members:
+    the same run must give the same bytes.
+    """
+    buffer = bytearray(_LITTLE_ENDIAN + bytes(_ENCAPSULATION - len(_LITTLE_ENDIAN) + _STAMP.size))
+
+    def align(size: int) -> None:
+        buffer.extend(bytes(_align(len(buffer), size) - len(buffer)))
+
+    def add_count(count: int) -> None:
+        align(4)
+        buffer.extend(count.to_bytes(4, "little"))
+
+    def add_string(text: str) -> None:
+        raw = text.encode() + b"\0"
+        add_count(len(raw))
+        buffer.extend(raw)
+
+    add_string(device)
+    add_count(len(channels))
+    for name in channels:
+        add_string(name)
+    add_count(len(channels))
+    if channels:
+        align(8)
+    values_at = len(buffer)
+    buffer.extend(bytes(8 * len(channels)))
+    add_count(0)  # velocity
+    add_count(0)  # effort
+    return buffer, values_at
 
 
 def _position_offset(data: bytes) -> int:
