@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -107,9 +106,7 @@ def loop_shapes(nominal: Nominal) -> dict[str, LoopShape]:
     return found
 
 
-def thermal_spread(
-    model: DeviceModel, thermal: Mapping[str, float]
-) -> tuple[dict[str, float], dict[str, float]]:
+def thermal_spread(model: DeviceModel) -> tuple[dict[str, float], dict[str, float]]:
     """Values and standard deviations of the thermal parameters that a refit may move.
 
     The deviation is the fit's own where the model file has it, with a floor for what differs between two
@@ -123,7 +120,7 @@ def thermal_spread(
     }
     values, spreads = {}, {}
     for name, (floor, default) in floors.items():
-        value = thermal.get(name, model.scalars[name])
+        value = model.scalars[name]
         if value == 0.0:
             continue
         known = model.uncertainty.get(name)
@@ -131,6 +128,6 @@ def thermal_spread(
         values[name], spreads[name] = value, abs(value) * max(relative, floor)
     name = "thermal.ambient"
     known = model.uncertainty.get(name)
-    values[name] = thermal.get(name, model.scalars[name])
+    values[name] = model.scalars[name]
     spreads[name] = max(known[0] if known else 0.05, 0.02)
     return values, spreads

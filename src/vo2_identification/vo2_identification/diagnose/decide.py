@@ -114,7 +114,7 @@ def held_out(
                 training, explanation.hypotheses, explanation.values, iterations=3, tick=tick
             )
             estimates.append(fitted.values)
-            change = evidence.deviation(fitted.effects, fitted.shift if np.any(fitted.shift) else None)
+            change = evidence.deviation(fitted.effects, fitted.shift)
             weights = training.absorb(training.residual - np.where(held, 0.0, change))
         else:
             change = np.zeros(evidence.weight.size)

@@ -49,7 +49,7 @@ class Evidence:
     Attributes
     ----------
     nominal : with loop-shape corrections
-    thermal : values of thermal parameters that replace those of the model
+    origin : (t,) move of the thermal parameters, in units of their columns, about which everything is linear
     parts : recordings
     rows : layout of the stacked vectors
     weight : (N,) 0 where a sample is missing, else what divides the innovation (1 without rough misfit)
@@ -63,7 +63,7 @@ class Evidence:
     """
 
     nominal: Nominal
-    thermal: Mapping[str, float]
+    origin: Floats
     parts: tuple[Part, ...]
     rows: tuple[Row, ...]
     weight: Floats
@@ -87,7 +87,7 @@ class Evidence:
 
     def responses(self, effects: Effects, shift: Floats | None = None) -> list[Response]:
         """Simulate every part with effects beside the included ones, thermal parameters moved by `shift` columns."""
-        thermal = self.thermal if shift is None else self.moved(shift)
+        thermal = self.moved(self.origin if shift is None else shift)
         return [
             self.nominal.respond(
                 part.current,
@@ -100,12 +100,8 @@ class Evidence:
         ]
 
     def moved(self, shift: Floats) -> dict[str, float]:
-        """Thermal parameters moved by `shift` (in units of their columns)."""
-        values, _ = thermal_spread(self.nominal.model, self.thermal)
-        return {
-            **self.thermal,
-            **{n: values[n] + s * z for n, s, z in zip(self.names, self.spreads, shift, strict=True)},
-        }
+        """Thermal parameters moved from the model's by `shift`, in units of their columns."""
+        return _moved(self.nominal, shift)
 
     def stack(self, responses: Sequence[Response], reference: Sequence[Response] | None = None) -> Floats:
         """Whitened (N,) difference of responses from a reference (by default the nominal ones)."""
@@ -120,12 +116,12 @@ class Evidence:
     def deviation(self, effects: Effects, shift: Floats | None = None) -> Floats:
         """Whitened (N,) change of the simulation that effects make.
 
-        With `shift`, thermal parameters are moved that far and what the linear base says of that move is taken
-        off again: the base still pays for the move, but its curvature is in the deviation.
+        With `shift`, thermal parameters are moved that far from the model's, and what the linear base says of that
+        move is taken off again: the base still pays for the move, but its curvature is in the deviation.
         """
         change = self.stack(self.responses(effects, shift))
         if shift is not None and shift.size:
-            change = change - self.base[:, -shift.size :] @ shift
+            change = change - self.base[:, -shift.size :] @ (shift - self.origin)
         return change
 
     def deviations(self, several: Sequence[Effects], shift: Floats | None = None) -> list[Floats]:
@@ -183,7 +179,7 @@ def gather(
     nominal: Nominal,
     parts: Sequence[Part],
     *,
-    thermal: Mapping[str, float] | None = None,
+    shift: Floats | None = None,
     effects: Effects | None = None,
     shapes: Mapping[str, LoopShape] | None = None,
     say: Callable[[str], None] = lambda text: None,
@@ -194,14 +190,16 @@ def gather(
     ----------
     nominal : without corrections
     parts : recordings, as `part.prepare` made them
-    thermal : thermal parameters to linearise about, None for the model's
+    shift : move of the thermal parameters to linearise about; the base pays for it as for its own moves
     effects : effects to linearise about
     shapes : posterior of the loop shapes, where it is known already
     say : called with what is being done
     """
     shapes = loop_shapes(nominal) if shapes is None else shapes
     corrected = replace(nominal, corrections={c: s.fold() for c, s in shapes.items()})
-    thermal = dict(thermal or {})
+    spreads = thermal_spread(nominal.model)[1]
+    origin = np.zeros(len(spreads)) if shift is None else np.asarray(shift, dtype=np.float64)
+    thermal = _moved(corrected, origin)
     say("simulating the recordings")
     responses = [
         corrected.respond(p.current, p.dt, effects=effects, thermal=thermal, settled=p.settled) for p in parts
@@ -225,27 +223,41 @@ def gather(
         residual[row.where] = noise.whiten(np.where(counts, measured - predicted, 0.0))
     residual *= weight
     blocks = _loop_columns(shapes, rows, responses, corrected, weight)
-    values, spreads = thermal_spread(corrected.model, thermal)
     columns = []
     partial = Evidence(
-        corrected, thermal, tuple(parts), tuple(rows), weight, tuple(responses), residual,
+        corrected, origin, tuple(parts), tuple(rows), weight, tuple(responses), residual,
         np.zeros((end, 0)), (), (), dict(effects or {}), shapes,
     )  # fmt: skip
-    for name, spread in spreads.items():
-        step = 0.2 * spread
+    for place in range(origin.size):
+        step = np.zeros(origin.size)
+        step[place] = 0.2
         moved = [
             corrected.respond(
                 p.current,
                 p.dt,
                 effects=effects,
-                thermal={**thermal, name: values[name] + step},
+                thermal=_moved(corrected, origin + step),
                 settled=p.settled,
             )
             for p in parts
         ]
-        columns.append(partial.stack(moved) * (spread / step))
+        columns.append(partial.stack(moved) / 0.2)
     base = np.column_stack([blocks, *columns]) if columns else blocks
-    return replace(partial, base=base, names=tuple(spreads), spreads=tuple(spreads.values()))
+    # told from the model's own thermal parameters, so that the base pays for the origin too
+    if origin.size:
+        residual = residual + base[:, -origin.size :] @ origin
+    return replace(
+        partial, residual=residual, base=base, names=tuple(spreads), spreads=tuple(spreads.values())
+    )
+
+
+def _moved(nominal: Nominal, shift: Floats) -> dict[str, float]:
+    values, spreads = thermal_spread(nominal.model)
+    moved = {n: values[n] + spreads[n] * z for n, z in zip(spreads, shift, strict=True)}
+    for name in ("driver.dead_time", "thermal.time_constant"):
+        if name in moved:
+            moved[name] = max(moved[name], 0.0 if name == "driver.dead_time" else 1e-3 * values[name])
+    return moved
 
 
 def _reach(counts: NDArray[np.bool_], order: int) -> Floats:

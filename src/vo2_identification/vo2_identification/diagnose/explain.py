@@ -182,7 +182,7 @@ def fit_jointly(
     values = [dict(start) for start in starts]
     coordinates = tuple((k, name) for k, start in enumerate(values) for name in start)
     problem = _Joint(evidence, tuple(hypotheses), coordinates, tick)
-    shift = np.zeros(len(evidence.names))
+    shift = evidence.origin.copy()
     q_start = evidence.chi_square(evidence.residual)
     for round_ in range(3):
         values, change, q = problem.descend(values, shift, iterations if round_ == 0 else 4)
@@ -253,7 +253,7 @@ class _Joint:
     def deviation(self, at: Sequence[Mapping[str, float]], shift: Floats) -> Floats:
         """Whitened change of the simulation."""
         self.tick()
-        return self.evidence.deviation(self._merged(at), shift if np.any(shift) else None)
+        return self.evidence.deviation(self._merged(at), shift)
 
     def _merged(self, at: Sequence[Mapping[str, float]]) -> dict[str, dict[str, float | str]]:
         merged: dict[str, dict[str, float | str]] = {}
@@ -276,7 +276,7 @@ class _Joint:
                     places.append(place)
                     self.tick()
                     break
-        changes = self.evidence.deviations(trials, shift if np.any(shift) else None)
+        changes = self.evidence.deviations(trials, shift)
         for place, length, moved_change in zip(places, lengths, changes, strict=True):
             tangent[:, place] = (moved_change - change) / length
         self.tangent = tangent

@@ -26,7 +26,7 @@ def corrected_parameters(study: Study) -> dict[str, Value]:
     effects = {**study.nominal.model.effects, **study.chosen.effects}
     model = replace(study.nominal.model, effects=effects)
     flat |= model.to_parameters()
-    moved = study.final.thermal
+    moved = study.final.moved(study.chosen.shift)
     flat |= {f"model.{name}": float(value) for name, value in moved.items() if name in THERMAL}
     return flat
 

@@ -145,11 +145,10 @@ def study(
         parts.append(prepare(recording, nominal, name=name))
     evidence = gather(nominal, parts, say=clock.say)
     evidence = _started(evidence, nominal, clock)
+    evidence = _settled_thermal(nominal, evidence, clock)
     nominal, evidence = _recoloured(nominal, evidence, clock)
-    shift = evidence.absorb(evidence.residual)[-len(evidence.names) :] if evidence.names else np.zeros(0)
+    evidence = _settled_thermal(nominal, evidence, clock)
     q = evidence.chi_square(evidence.residual)
-    if np.any(np.abs(shift) > 2.0):
-        q = min(q, evidence.chi_square(evidence.residual - evidence.deviation({}, shift)))
     left = evidence.left(evidence.residual)
     excess, total = _excess(evidence, left, q)
     base = Study(
@@ -166,7 +165,9 @@ def _started(evidence: Evidence, nominal: Nominal, clock: _Clock) -> Evidence:
         tau = evidence.nominal.model.scalars["thermal.time_constant"]
         first = int(np.clip(np.ceil(5 * tau / part.dt), 3, part.size // 10))
         cold = evidence.nominal_responses[index]
-        warm = evidence.nominal.respond(part.current, part.dt, thermal=evidence.thermal, settled=True)
+        warm = evidence.nominal.respond(
+            part.current, part.dt, thermal=evidence.moved(evidence.origin), settled=True
+        )
         misses = []
         for response in (cold, warm):
             miss = 0.0
@@ -182,6 +183,20 @@ def _started(evidence: Evidence, nominal: Nominal, clock: _Clock) -> Evidence:
     if all(new is old for new, old in zip(parts, evidence.parts, strict=True)):
         return evidence
     return gather(nominal, parts, shapes=evidence.shapes, say=clock.say)
+
+
+def _settled_thermal(nominal: Nominal, evidence: Evidence, clock: _Clock, *, rounds: int = 3) -> Evidence:
+    """Move to where the base's own refit puts the thermal parameters, until they stay: it is not linear in them."""
+    for _ in range(rounds):
+        count = len(evidence.names)
+        shift = evidence.absorb(evidence.residual)[-count:] if count else np.zeros(0)
+        if not count or float(np.max(np.abs(shift - evidence.origin))) < 0.7:
+            break
+        moved = gather(nominal, evidence.parts, shift=shift, shapes=evidence.shapes, say=clock.say)
+        if moved.chi_square(moved.residual) >= evidence.chi_square(evidence.residual) - 10.0:
+            break
+        evidence = moved
+    return evidence
 
 
 def _recoloured(nominal: Nominal, evidence: Evidence, clock: _Clock) -> tuple[Nominal, Evidence]:
@@ -207,7 +222,7 @@ def _recoloured(nominal: Nominal, evidence: Evidence, clock: _Clock) -> tuple[No
     if noise == dict(nominal.noise):
         return nominal, evidence
     nominal = replace(nominal, noise=noise)
-    return nominal, gather(nominal, evidence.parts, say=clock.say)
+    return nominal, gather(nominal, evidence.parts, shift=evidence.origin, say=clock.say)
 
 
 def _excess(evidence: Evidence, left: Floats, q: float) -> tuple[dict[str, float], float]:
@@ -333,7 +348,9 @@ def _rival_pairs(
 def _relinearised(base: Study, best: Explanation, clock: _Clock) -> tuple[Evidence, Explanation]:
     """Build the problem about an explanation and fit it once more there."""
     clock.say("linearising about the explanation")
-    final = gather(base.nominal, base.evidence.parts, effects=best.effects, shapes=base.evidence.shapes)
+    final = gather(
+        base.nominal, base.evidence.parts, shift=best.shift, effects=best.effects, shapes=base.evidence.shapes
+    )
     again = fit_jointly(final, best.hypotheses, best.values, iterations=6, tick=clock.tick)
     # gains are told against the base alone, about the nominal simulation
     q_base = base.evidence.count * (1.0 + base.total_excess)

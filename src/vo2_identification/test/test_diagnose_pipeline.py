@@ -1,0 +1,141 @@
+"""The whole diagnosis on simulated devices whose hysteresis is an ensemble of domains, not the fitted family."""
+
+import json
+
+import numpy as np
+import pytest
+from vo2_identification.bags import write_bag
+from vo2_identification.diagnose import diagnose, main, study, validate
+from vo2_identification.diagnose.files import write_results
+from vo2_identification.fit import model_of
+from vo2_models.device import DeviceModel, preset, surrogate_of_temperature, truth
+from vo2_models.excitation import Excitation, composite_recording, damped_oscillation
+from vo2_models.model_file import load_model_parameters, save_model_parameters
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
+
+DEVICE, SEED, DT = "integrated", 11, 1e-3
+MEASURED = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)
+
+
+def measured(recording: Recording) -> Recording:
+    channels = {k: v for k, v in recording.channels.items() if k in MEASURED}
+    return Recording(recording.time_s, channels, recording.device)
+
+
+def concealed(effects=None, *, seed=4, samples=4000, colour=0.0) -> Recording:
+    cold, hot = preset(DEVICE).operating_range
+    begin, end = surrogate_of_temperature(DEVICE, np.array([50.0, 70.0]))
+    current = composite_recording(
+        cold, hot, transition=(begin, end), duration_s=samples * DT, sample_period_s=DT, seed=seed
+    ).sample(DT)
+    device = truth(DEVICE, seed=SEED, effects=effects or {}, colour=colour)
+    return measured(device.simulate(current, seed=seed + 100))
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    low, high = (preset(DEVICE).steady_temperature(i) for i in preset(DEVICE).operating_range)
+    levels = damped_oscillation(np.linspace(low, high, 31), reversals_only=True)
+    rate = float(np.sum(np.abs(np.diff(levels)))) / 12.0
+    current = surrogate_of_temperature(DEVICE, Excitation.at_rate(levels, rate_per_s=rate).sample(DT))
+    calibration = truth(DEVICE, seed=SEED).simulate(current, seed=1)
+    _, found = model_of([measured(calibration)], DEVICE, plays=12)
+    return found
+
+
+def test_an_unchanged_device_agrees(parameters) -> None:
+    answer = diagnose([concealed(colour=0.6)], parameters)
+    assert answer.verdict == "agrees"
+    assert answer.effects == [] and answer.location == []
+    validate(answer.to_dict())
+
+
+@pytest.fixture(scope="module")
+def creeping(parameters):
+    return study([concealed({"creep": {"share": 0.06, "time_constant": 0.2}})], parameters)
+
+
+def test_creep_is_named_located_and_measured(creeping, tmp_path) -> None:
+    answer = write_results(creeping, tmp_path)
+    assert answer.verdict == "differs"
+    assert [e.id for e in answer.effects] == ["creep"]
+    found = answer.effects[0].parameters
+    assert found["share"].value == pytest.approx(0.06, rel=0.15)
+    assert found["time_constant"].value == pytest.approx(0.2, rel=0.15)
+    assert found["share"].std > 0
+    assert answer.location[0].signal == TIP_DEFLECTION
+    assert sum(p.share for p in answer.location) == pytest.approx(1.0)
+    fit = answer.fit[TIP_DEFLECTION]
+    assert fit.nrmse_after < 0.5 * fit.nrmse_before
+    validate(json.loads((tmp_path / "diagnosis.json").read_text()))
+    page = (tmp_path / "report.html").read_text()
+    assert "creep" in page and "<svg" in page
+    assert not any(word in page for word in ("<script", "src=", "@import", "<link"))
+
+
+def test_the_corrected_model_loads_and_follows_the_recording_better(creeping, tmp_path, parameters) -> None:
+    write_results(creeping, tmp_path)
+    corrected = DeviceModel.from_parameters(load_model_parameters(tmp_path / "corrected_model.yaml"))
+    nominal = DeviceModel.from_parameters(parameters)
+    fresh = concealed({"creep": {"share": 0.06, "time_constant": 0.2}}, seed=9)
+    miss = [
+        np.std(fresh[TIP_DEFLECTION] - m.simulate(fresh[HEATER_CURRENT], noise=False)[TIP_DEFLECTION])
+        for m in (nominal, corrected)
+    ]
+    assert miss[1] < 0.6 * miss[0]
+
+
+def test_the_energy_of_every_axis_adds_up_to_the_channels_excess(creeping) -> None:
+    for channel in creeping.breakdown:
+        for axis in ("time", "temperature", "amplitude", "branch", "reversals"):
+            assert np.sum(channel.axes[axis][1]) == pytest.approx(channel.excess, rel=1e-6, abs=1e-6), axis
+
+
+def test_a_change_of_the_terminals_is_told_from_the_film(parameters) -> None:
+    answer = diagnose([concealed({"series_resistance": {"resistance": 900.0}})], parameters)
+    assert answer.effects[0].id == "series_resistance"
+    assert answer.effects[0].parameters["resistance"].value == pytest.approx(900.0, rel=0.15)
+    assert answer.location[0].signal == RESISTANCE
+
+
+def test_what_is_not_in_the_catalogue_is_unknown_and_still_modelled(parameters) -> None:
+    plain = concealed()
+    tip = plain[TIP_DEFLECTION]
+    bent = (
+        tip
+        + 0.6e-6 * np.sin(2 * np.pi * 7.0 * plain.time_s)
+        + 0.5e-6 * np.sin(2 * np.pi * 18.0 * plain.time_s)
+    )
+    answer = diagnose([Recording(plain.time_s, {**plain.channels, TIP_DEFLECTION: bent}, DEVICE)], parameters)
+    assert [e.id for e in answer.effects] == ["unknown"]
+    fit = answer.fit[TIP_DEFLECTION]
+    assert fit.nrmse_after < 0.8 * fit.nrmse_before
+    assert "Hz" in answer.effects[0].statement
+
+
+def test_the_command_refuses_a_model_of_another_device(tmp_path, capsys) -> None:
+    write_bag(tmp_path / "bag", concealed(samples=1000))
+    save_model_parameters(tmp_path / "model.yaml", DeviceModel("peltier").to_parameters())
+    status = main(
+        [
+            "--bag",
+            str(tmp_path / "bag"),
+            "--model",
+            str(tmp_path / "model.yaml"),
+            "--output",
+            str(tmp_path / "o"),
+        ]
+    )
+    assert status == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and lines[0].startswith("diagnose: ")
+    assert not (tmp_path / "o").exists()
+
+
+def test_the_command_refuses_what_is_no_bag(tmp_path, capsys, parameters) -> None:
+    save_model_parameters(tmp_path / "model.yaml", parameters)
+    status = main(
+        ["--bag", str(tmp_path / "none"), "--model", str(tmp_path / "model.yaml"), "--output", str(tmp_path)]
+    )
+    assert status == 2
+    assert "none" in capsys.readouterr().err
