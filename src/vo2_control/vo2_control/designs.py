@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
+import numpy as np
 from vo2_models.parameters import Parameter, Value
 from vo2_plant_sim.interface.model import operating_point
 
-from vo2_control.controller import Controller, CurrentLimits
+from vo2_control.controller import Controller, CurrentLimits, LinearController, LinearLaw
+from vo2_control.generalised_plant import DESIGN_PARAMETERS, design_from_parameters
 from vo2_control.pid import (
     PID_PARAMETERS,
     PUBLISHED_PELTIER_PID,
@@ -17,18 +21,30 @@ from vo2_control.pid import (
     pid_from_parameters,
 )
 
-__all__ = ["CONTROLLER_KINDS", "CONTROLLER_PARAMETERS", "design_controller"]
+if TYPE_CHECKING:
+    from vo2_control.feedforward import InverseFeedforward
 
-CONTROLLER_KINDS = ("pi", "pid")
+__all__ = [
+    "CONTROLLER_KINDS",
+    "CONTROLLER_PARAMETERS",
+    "LIMIT_PARAMETERS",
+    "current_limits",
+    "design_controller",
+    "design_feedforward",
+    "open_loop",
+    "reach",
+]
 
-CONTROLLER_PARAMETERS = (
-    *PID_PARAMETERS,
+CONTROLLER_KINDS = ("pi", "pid", "hinf")
+
+LIMIT_PARAMETERS = (
     Parameter(
         "limits.lower_a", 0.0, "A", "Smallest current; equal to upper_a for the operating range.", -10.0, 10.0
     ),
     Parameter("limits.upper_a", 0.0, "A", "Largest current.", -10.0, 10.0),
     Parameter("limits.rate_a_per_s", 0.0, "A/s", "Largest rate of the current; 0 for none.", 0.0, 1e6),
 )
+CONTROLLER_PARAMETERS = (*PID_PARAMETERS, *DESIGN_PARAMETERS, *LIMIT_PARAMETERS)
 
 _PUBLISHED = {
     "pi": {
@@ -38,6 +54,7 @@ _PUBLISHED = {
     },
     "pid": {"integrated": PidGains(kp=1.4, ki=2.03e4), "peltier": PUBLISHED_PELTIER_PID},
 }
+_REACH_LEVELS = 400
 _GAINS = ("pid.kp", "pid.ki", "pid.kd")
 
 
@@ -51,21 +68,90 @@ def design_controller(
     kind : one of `CONTROLLER_KINDS`
     preset : device preset; gives gains and limits that `values` does not
     sample_period_s : [s]
-    values : what was set of `CONTROLLER_PARAMETERS` and `model.*`; gains in it are used, else a model is tuned for
+    values : what was set of `CONTROLLER_PARAMETERS` and `model.*`; gains in it are used, else a model is tuned for;
+        kind `hinf` is designed from `hinf.*` alone
 
     Raises
     ------
-    ValueError : unknown kind, or parameters that make no controller.
+    ValueError : unknown kind, or parameters that make no controller; `DesignRefused` for a robust design that
+        fails a check.
     """
     if kind not in CONTROLLER_KINDS:
         raise ValueError(f"kind: found {kind!r}, need one of {', '.join(CONTROLLER_KINDS)}")
-    point = operating_point(preset)
-    lower, upper = float(values.get("limits.lower_a", 0.0)), float(values.get("limits.upper_a", 0.0))  # type: ignore[arg-type]
-    if lower == upper:
-        lower, upper = point.lower_a, point.upper_a
-    rate = float(values.get("limits.rate_a_per_s", 0.0))  # type: ignore[arg-type]
-    limits = CurrentLimits(lower, upper, rate or float("inf"))
+    limits = current_limits(preset, values)
+    if kind == "hinf":
+        # the synthesis libraries take a second to load: only for who designs with them
+        from vo2_control.discretise import robust_law
+
+        design = design_from_parameters(values)
+        return robust_law(design, sample_period_s, expected_sign=_sign(preset)).controller(limits)
     return pid_controller(_gains(kind, preset, sample_period_s, limits, values), limits, sample_period_s)
+
+
+def current_limits(preset: str, values: Mapping[str, Value]) -> CurrentLimits:
+    """Return the limits in `values`, names of `LIMIT_PARAMETERS`; the preset's operating range where both ends agree.
+
+    Raises
+    ------
+    ValueError : ends in the wrong order.
+    """
+    lower, upper, rate = (float(values.get(p.name, p.default)) for p in LIMIT_PARAMETERS)  # type: ignore[arg-type]
+    if lower == upper:
+        point = operating_point(preset)
+        lower, upper = point.lower_a, point.upper_a
+    return CurrentLimits(lower, upper, rate or float("inf"))
+
+
+def design_feedforward(
+    *, preset: str, sample_period_s: float, values: Mapping[str, Value]
+) -> InverseFeedforward:
+    """Return the inverse compensation of the model in `values` (`model.*`) within the limits in it.
+
+    Raises
+    ------
+    ValueError : no model, a model without deflection or of another preset.
+    """
+    # the inverse loads the compiler: only once a model is there
+    from vo2_control.feedforward import feedforward_from_model
+
+    device = values.get("model.device", "")
+    if not device:
+        raise ValueError(
+            "model.device: found none, need a model to invert; run the identifier (~/start), or load a file that "
+            "it or fit wrote (ros2 param load, --params-file)"
+        )
+    if device != preset:
+        raise ValueError(f"model.device: found {device}, need the preset {preset}; load its model")
+    return feedforward_from_model(values, sample_period_s, limits=current_limits(preset, values))
+
+
+def reach(ahead: InverseFeedforward) -> tuple[float, float]:
+    """Return the lowest and highest deflection [m] of the model on its major loop within the limits; resets `ahead`."""
+    cold, hot = sorted(ahead.thermal.steady(i) for i in (ahead.limits.lower_a, ahead.limits.upper_a))
+    rise = np.linspace(cold, hot, _REACH_LEVELS)
+    ahead.reset()
+    loop = [ahead.inverse.move(t) for t in (*rise, *rise[::-1])]
+    ahead.reset()
+    return min(loop), max(loop)
+
+
+def open_loop(limits: CurrentLimits, sample_period_s: float) -> Controller:
+    """Return the law without feedback: the feedforward current within the limits."""
+    nothing = LinearLaw(
+        a=np.zeros((0, 0)),
+        b=np.zeros((0, 2)),
+        c=np.zeros(0),
+        d=np.zeros(2),
+        conditioning=np.zeros(0),
+        sample_period_s=sample_period_s,
+    )
+    return LinearController(nothing, limits)
+
+
+def _sign(preset: str) -> int:
+    """Sign of deflection over current: on every preset deflection grows with temperature."""
+    point = operating_point(preset)
+    return int(math.copysign(1, point.hot_a - point.cold_a))
 
 
 def _gains(

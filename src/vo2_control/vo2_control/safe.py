@@ -92,33 +92,54 @@ class Supervisor:
     def mode(self) -> Mode:
         return self._mode
 
-    def replace_controller(self, controller: Controller, reference_m: float, estimate_m: float) -> None:
+    def begin_at(self, current_a: float) -> None:
+        """Before the first sample: start without a bump from a current [A] that another node left flowing."""
+        if self._mode == "idle" and math.isfinite(current_a):
+            self._current = current_a
+
+    def reachable(self, reference_m: float) -> float:
+        """Return the reference clipped to the reach of the device [m]."""
+        low, high = self.settings.reach_m
+        return min(max(reference_m, low), high)
+
+    def replace_controller(
+        self, controller: Controller, reference_m: float, estimate_m: float, feedforward_a: float = 0.0
+    ) -> None:
         """Hand over to another controller (a redesign) from the present current, without a bump."""
         if math.isfinite(reference_m) and math.isfinite(estimate_m):
-            controller.reset(self._current, reference_m, estimate_m)
+            controller.reset(self._current, reference_m, estimate_m, feedforward_a)
         self._controller = controller
 
     def sample(
-        self, time_s: float, reference_m: float, estimate_m: float, resistance_ohm: float | None = None
+        self,
+        time_s: float,
+        reference_m: float,
+        estimate_m: float,
+        resistance_ohm: float | None = None,
+        feedforward_a: float = 0.0,
     ) -> Decision:
         """Answer one sample taken at `time_s` [s]; `resistance_ohm` lets the sensor be checked where it is known."""
         fault = self._fault(reference_m, estimate_m, resistance_ohm)
         if fault:
             return self._without_input(time_s, fault)
-        low, high = self.settings.reach_m
-        reference = min(max(reference_m, low), high)
+        reference = self.reachable(reference_m)
         if self._mode in ("idle", "safe"):
-            self._controller.reset(self._current, reference, estimate_m)
-        self._current = self._controller.update(reference, estimate_m)
+            self._controller.reset(self._current, reference, estimate_m, feedforward_a)
+        self._current = self._controller.update(reference, estimate_m, feedforward_a)
         self._last_good_s = time_s
         self._mode, self._reason = "tracking", ""
         if reference != reference_m:
+            low, high = self.settings.reach_m
             self._mode = "limited"
             self._reason = (
                 f"reference of {1e6 * reference_m:.2f} um is outside the reachable {1e6 * low:.2f} to "
                 f"{1e6 * high:.2f} um: clipped"
             )
         return Decision(self._current, self._mode, self._reason)
+
+    def lost(self, time_s: float, why: str) -> Decision:
+        """Answer a sample that cannot be used, `why` in the words of who found it: hold, then the safe current."""
+        return self._without_input(time_s, why)
 
     def silence(self, time_s: float) -> Decision:
         """Answer a clock tick: nothing to do while samples are in time, else hold, else the safe current."""
