@@ -110,13 +110,14 @@ def thermal_spread(model: DeviceModel) -> tuple[dict[str, float], dict[str, floa
     """Values and standard deviations of the thermal parameters that a refit may move.
 
     The deviation is the fit's own where the model file has it, with a floor for what differs between two
-    recordings of an unchanged device, and a default where it has none.
+    recordings of an unchanged device, and a default where it has none. Ambient and gain have next to none: without
+    a temperature sensor they are the scale that temperature is told in, and they are the same for both recordings.
     """
     floors = {
         "thermal.time_constant": (0.003, 0.10),
         "driver.dead_time": (0.003, 0.10),
-        "thermal.linear_gain": (2e-4, 1e-3),
-        "thermal.square_gain": (2e-4, 1e-3),
+        "thermal.linear_gain": (1e-4, 1e-4),
+        "thermal.square_gain": (1e-4, 1e-4),
     }
     values, spreads = {}, {}
     for name, (floor, default) in floors.items():
@@ -129,5 +130,5 @@ def thermal_spread(model: DeviceModel) -> tuple[dict[str, float], dict[str, floa
     name = "thermal.ambient"
     known = model.uncertainty.get(name)
     values[name] = model.scalars[name]
-    spreads[name] = max(known[0] if known else 0.05, 0.02)
+    spreads[name] = max(known[0] if known else 0.0, 0.01)
     return values, spreads

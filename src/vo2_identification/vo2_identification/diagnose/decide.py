@@ -27,6 +27,7 @@ class Thresholds:
     Attributes
     ----------
     gain : least drop of q of a named effect; the largest on recordings without effect were half of it
+    sigmas : least distance of a magnitude from neutral, in its standard deviations
     slack : residual power beyond the noise, in noise powers, that unchanged devices show too
     complete : share of the excess beyond that which names must explain together, else "unknown" is the answer
     share : least share of a name's gain that must show on held-out blocks, and of the excess that an unnamed
@@ -41,6 +42,7 @@ class Thresholds:
     """
 
     gain: float = 150.0
+    sigmas: float = 4.0
     slack: float = 0.2
     complete: float = 0.85
     share: float = 0.25

@@ -153,7 +153,42 @@ def _starts(
     for combination in product(*grids.values()):
         values = dict(zip(grids, combination, strict=True))
         starts.append({n: _clipped(record, n, v) for n, v in values.items()})
+    switches = [p for p in record.parameters if p.unit == "s" and abs(_neutral(p)) >= HUGE]
+    if len(switches) == 2 and starts:  # on and off again: where the residual asks for it
+        window = _window(evidence, record, signal, starts[0], residual)
+        length = max(part.time_s[-1] - part.time_s[0] for part in evidence.parts)
+        if window:
+            names = [p.name for p in switches]
+            starts += [{**start, **dict(zip(names, window, strict=True))} for start in list(starts)]
+            scales |= dict.fromkeys(names, 2e-3 * length)
     return starts, scales
+
+
+def _window(
+    evidence: Evidence, record: Effect, signal: str, start: Values, residual: Floats
+) -> tuple[float, float] | None:
+    """Time between which the effect, were it linear and immediate, would explain most; None for the whole time.
+
+    Only for a single recording: times are told from its start.
+    """
+    if len(evidence.parts) != 1:
+        return None
+    given: dict[str, float | str] = dict(start)
+    change = evidence.deviation({record.id: {**given, "signal": signal} if signal else given})
+    part = evidence.parts[0]
+    pieces = min(60, part.size // 20)
+    edges = np.linspace(0, part.size, pieces + 1).astype(int)
+    along, own = np.zeros(pieces), np.zeros(pieces)
+    for row in evidence.rows:
+        along += np.add.reduceat(change[row.where] * residual[row.where], edges[:-1])
+        own += np.add.reduceat(change[row.where] ** 2, edges[:-1])
+    a, b = np.r_[0.0, np.cumsum(along)], np.r_[0.0, np.cumsum(own)]
+    first, last = np.triu_indices(pieces + 1, 2)
+    gain = (a[last] - a[first]) ** 2 / np.maximum(b[last] - b[first], 1e-9)
+    k = int(np.argmax(gain))
+    if gain[k] < 1.1 * a[-1] ** 2 / max(b[-1], 1e-9):
+        return None
+    return float(edges[first[k]] * part.dt), float(edges[last[k]] * part.dt)
 
 
 def _neutral(parameter: Parameter) -> float:

@@ -209,11 +209,10 @@ class Nominal:
         if settled:
             lead = int(np.ceil(10 * (c[Coefficient.TIME_CONSTANT] + c[Coefficient.DEAD_TIME]) / dt))
             current = np.concatenate([np.full(lead, current[0]), current])
-        out = chain.run(current, dt=dt)
-        if self.corrections:
-            out = carried(chain, current, out, dt, self.corrections)
         # a candidate may drive the simulation out of anything physical: it must only look very wrong
-        out = np.nan_to_num(out, nan=1e9, posinf=1e9, neginf=-1e9).clip(-1e9, 1e9)
+        out = _bounded(chain.run(current, dt=dt))
+        if self.corrections:
+            out = _bounded(carried(chain, current, out, dt, self.corrections))
         film = out[:, 5].clip(-1e4, 1e4)
         found = {}
         for k, channel in enumerate(CHANNELS):
@@ -221,6 +220,13 @@ class Nominal:
                 continue
             found[channel] = np.log10(np.maximum(out[:, k], 1e-3)) if channel == RESISTANCE else out[:, k]
         return Response({k: v[lead:] for k, v in found.items()}, film[lead:])
+
+
+def _bounded(out: Floats) -> Floats:
+    out = np.nan_to_num(out, nan=1e9, posinf=1e9, neginf=-1e9).clip(-1e9, 1e9)
+    out[:, 5] = out[:, 5].clip(-1e3, 1e4)
+    out[:, 7:9] = out[:, 7:9].clip(-1e3, 1e3)
+    return out
 
 
 def _noiseless(chain: Simulation) -> Simulation:

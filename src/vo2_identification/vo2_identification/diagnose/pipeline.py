@@ -268,7 +268,8 @@ def _explained(base: Study, clock: _Clock) -> Study:
         rest = evidence.count * max(remaining - limits.slack, 0.0)
         complete = chosen.gain / (chosen.gain + rest)
         shows = judged.drop > limits.share * chosen.gain
-        if chosen.at_bound or not judged.stable or not shows or complete < limits.complete:
+        certain = _significant(chosen, limits)
+        if chosen.at_bound or not certain or not judged.stable or not shows or complete < limits.complete:
             chosen, final = None, evidence
     if chosen is None:
         judged = held_out(evidence, None)
@@ -315,6 +316,20 @@ def _best_inside(explanations: Sequence[Explanation]) -> Explanation | None:
     if inside and inside[0].gain > 0.8 * explanations[0].gain:
         return inside[0]
     return explanations[0]
+
+
+def _significant(explanation: Explanation, limits: Thresholds) -> bool:
+    """Whether every effect has a magnitude that is told from nothing by several standard deviations."""
+    for index, hypothesis in enumerate(explanation.hypotheses):
+        ratios = []
+        for name, value in explanation.values[index].items():
+            neutral = float(hypothesis.parameter(name).default)  # type: ignore[arg-type]
+            std = explanation.std(index, name)
+            if not hypothesis.logarithmic(name) and std > 0:
+                ratios.append(abs(value - neutral) / std)
+        if ratios and max(ratios) < limits.sigmas:
+            return False
+    return True
 
 
 def _trace(final: Evidence, chosen: Explanation) -> Floats:
