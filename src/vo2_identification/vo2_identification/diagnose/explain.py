@@ -149,9 +149,12 @@ def _rescaled(
     hypothesis: Hypothesis, values: Mapping[str, float], along: float, own: float
 ) -> dict[str, float] | None:
     """The start with the magnitude that is best if the effect is linear in it; None where that says nothing new."""
-    linear = [n for n, v in values.items() if not hypothesis.logarithmic(n) and v != 0.0]
-    limits = any(abs(float(hypothesis.parameter(n).default)) > 1e9 for n in linear)  # type: ignore[arg-type]
-    if not linear or limits or own < 1e-9:
+    linear = [
+        n
+        for n, v in values.items()
+        if not hypothesis.logarithmic(n) and v != 0.0 and abs(float(hypothesis.parameter(n).default)) < 1e9  # type: ignore[arg-type]
+    ]
+    if not linear or own < 1e-9:
         return None
     factor = along / own
     if not 0.02 < factor < 50 or abs(factor - 1) < 0.1:

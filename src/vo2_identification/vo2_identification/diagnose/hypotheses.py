@@ -159,8 +159,15 @@ def _starts(
         length = max(part.time_s[-1] - part.time_s[0] for part in evidence.parts)
         if window:
             names = [p.name for p in switches]
-            starts += [{**start, **dict(zip(names, window, strict=True))} for start in list(starts)]
-            scales |= dict.fromkeys(names, 2e-3 * length)
+            # what was switched leaves a memory: the end is not where the residual ends, so several are tried
+            stops = [float(window[1] + k * length / 20) for k in range(-2, 4)]
+            starts += [
+                {**start, names[0]: window[0], names[1]: stop}
+                for start in list(starts[::2])
+                for stop in stops
+                if window[0] < stop
+            ]
+            scales |= dict.fromkeys(names, float(2e-3 * length))
     return starts, scales
 
 
