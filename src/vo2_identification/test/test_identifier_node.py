@@ -3,8 +3,18 @@
 import numpy as np
 import pytest
 from std_srvs.srv import Trigger
-from vo2_identification.excitation_plan import EXCITATION_PARAMETERS, excitation_currents
+from vo2_identification.excitation_plan import (
+    EXCITATION_PARAMETERS,
+    excitation_currents,
+    informative_excitation,
+)
+from vo2_identification.fit import model_of
 from vo2_identification.identifier_node import IdentifierNode
+from vo2_models.device import truth
+from vo2_models.excitation import damped_oscillation
+from vo2_models.fitting.digest import DIGEST_PARAMETERS
+from vo2_models.model_file import load_model_parameters, save_model_parameters
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 from vo2_plant_sim.interface.model import operating_point
 from vo2_plant_sim.interface.parameters import ParameterTable
 from vo2_plant_sim.testing import bench
@@ -103,3 +113,125 @@ def test_a_recording_that_cannot_be_fitted_is_told():
             rig.say("/vo2/measurement", k * MS, {"heater_current": 0.005, "film_resistance": 1e5})
         rig.until(lambda: state(rig) == "failed", timeout_s=60.0)
         assert "cannot be fitted" in rig.status("identifier: progress")[0]
+
+
+@pytest.mark.parametrize("preset", ["integrated", "peltier"])
+@pytest.mark.parametrize("cold_samples", [0, 30])
+def test_the_informative_excitation_gives_ten_thousand_samples_over_the_whole_range(preset, cold_samples):
+    point = operating_point(preset)
+    with bench() as rig:
+        table = ParameterTable(rig.node, EXCITATION_PARAMETERS)
+        table.set(
+            {
+                "excitation.kind": "informative",
+                "excitation.cold_s": cold_samples / point.rate_hz,
+                "excitation.seed": 5,
+            }
+        )
+        currents = excitation_currents(preset, 1.0 / point.rate_hz, table)
+        table.set({"excitation.duration_s": 600.0 / point.rate_hz})
+        short = excitation_currents(preset, 1.0 / point.rate_hz, table)
+    # one sample before the first current
+    assert currents.size == 9_999
+    assert 600 <= short.size - 2 * max(cold_samples, 1) <= 640
+    # the ends of ramps lie between samples
+    ends = [point.lower_a, point.upper_a]
+    assert [currents.min(), currents.max()] == pytest.approx(ends, abs=0.01 * (point.upper_a - point.lower_a))
+    assert currents[0] == currents[-1] == point.cold_a
+
+
+def diagnosis(rig):
+    return rig.status("identifier: diagnosis")
+
+
+def listened(rig, recording):
+    """Let the identifier listen to a recording, sample by sample."""
+    node = rig.add(IdentifierNode)
+    assert trigger(rig, "start").success
+    names = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)
+    columns = np.stack([recording[name] for name in names], axis=1)
+    for k, row in enumerate(columns.tolist()):
+        rig.say("/vo2/measurement", (k + 1) * MS, dict(zip(names, row, strict=True)))
+        if k % 50 == 49:
+            rig.until(lambda heard=k + 1: len(node._log) == heard)
+    rig.until(lambda: state(rig) in ("done", "failed"), timeout_s=120.0)
+    return node
+
+
+def played(current, seed, effects=None):
+    return truth("integrated", seed=11, effects=effects or {}).simulate(current, seed=seed)
+
+
+def test_a_diagnosis_without_recording_or_model_is_refused_with_what_is_needed():
+    with bench(arguments(excitation__kind="listen", fit="false", quiet_s="0.3")) as rig:
+        node = rig.add(IdentifierNode)
+        refused = trigger(rig, "diagnose")
+        assert not refused.success
+        assert "found no recording" in refused.message
+        assert "~/start" in refused.message
+        node._last_recording = Recording(np.arange(20) * 1e-3, {HEATER_CURRENT: np.full(20, 5e-3)})
+        refused = trigger(rig, "diagnose")
+        assert not refused.success
+        assert "found no model" in refused.message
+
+
+def test_a_diagnosis_is_refused_while_recording():
+    with bench(arguments(excitation__kind="listen", model__device="integrated")) as rig:
+        rig.add(IdentifierNode)
+        assert trigger(rig, "start").success
+        refused = trigger(rig, "diagnose")
+        assert not refused.success
+        assert "busy (listening)" in refused.message
+
+
+def test_a_recording_that_cannot_be_diagnosed_is_told_with_the_reason():
+    with bench(
+        arguments(excitation__kind="listen", fit="false", quiet_s="0.3", model__device="integrated")
+    ) as rig:
+        listened(rig, played(np.full(20, 5e-3), 1))
+        answer = trigger(rig, "diagnose")
+        assert answer.success
+        assert "20 samples" in answer.message
+        rig.until(lambda: diagnosis(rig)[1].get("state") == "failed", timeout_s=60.0)
+        assert "cannot be diagnosed" in diagnosis(rig)[0]
+        # and the next one may be tried
+        assert trigger(rig, "diagnose").success
+
+
+@pytest.fixture(scope="module")
+def model_file(tmp_path_factory):
+    """A model fitted to the oscillation that the identifier plays by itself."""
+    point = operating_point("integrated")
+    levels = point.cold_a + (point.hot_a - point.cold_a) * damped_oscillation(np.linspace(0.0, 1.0, 31))
+    excited = played(np.repeat(levels, 10), 1)
+    names = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)
+    recording = Recording(excited.time_s, {name: excited[name] for name in names}, "integrated")
+    path = tmp_path_factory.mktemp("model") / "model.yaml"
+    save_model_parameters(path, model_of([recording], "integrated", plays=12)[1])
+    return path
+
+
+@pytest.mark.slow
+def test_a_concealed_effect_is_named_on_diagnostics(model_file):
+    current = informative_excitation("integrated", 4.0, 1e-3, seed=4).sample(1e-3)
+    changed = played(current, 3, {"creep": {"share": 0.06, "time_constant": 0.2}})
+    ros = [
+        *arguments(excitation__kind="listen", fit="false", quiet_s="1.0"),
+        "--params-file",
+        str(model_file),
+    ]
+    with bench(ros) as rig:
+        node = listened(rig, changed)
+        kept = {record.name for record in DIGEST_PARAMETERS} & set(load_model_parameters(model_file))
+        assert kept
+        assert kept <= set(node._table.given("model."))
+        assert trigger(rig, "diagnose").success
+        rig.until(lambda: diagnosis(rig)[1].get("state") in ("done", "failed"), timeout_s=300.0)
+        text, values = diagnosis(rig)
+        assert values["verdict"] == "differs"
+        assert values["effects"] == "creep"
+        assert float(values["creep probability"]) > 0.5
+        share, deviation = (float(part) for part in values["creep share"].split(" +- "))
+        assert share == pytest.approx(0.06, rel=0.15)
+        assert 0.0 < deviation < 0.01
+        assert "creep" in text

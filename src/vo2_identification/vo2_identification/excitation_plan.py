@@ -4,21 +4,30 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from vo2_models.excitation import Excitation, damped_oscillation, random_levels
+from vo2_models.device.presets import preset
+from vo2_models.device.surrogate import surrogate_of_temperature
+from vo2_models.excitation import Excitation, composite_recording, damped_oscillation, random_levels
 from vo2_models.parameters import Parameter
 from vo2_plant_sim.interface.model import operating_point
 from vo2_plant_sim.interface.parameters import ParameterTable
 
-__all__ = ["EXCITATION_KINDS", "EXCITATION_PARAMETERS", "excitation_currents"]
+__all__ = [
+    "EXCITATION_KINDS",
+    "EXCITATION_PARAMETERS",
+    "INFORMATIVE_SAMPLES",
+    "excitation_currents",
+    "informative_excitation",
+]
 
-EXCITATION_KINDS = ("damped_oscillation", "random_levels", "levels", "listen")
+EXCITATION_KINDS = ("damped_oscillation", "random_levels", "levels", "informative", "listen")
 
 EXCITATION_PARAMETERS = (
     Parameter(
         "excitation.kind",
         "damped_oscillation",
         "",
-        "What is played; listen plays nothing and takes what another commander or a replayed bag brings.",
+        "What is played; informative is for a diagnosis: loops, steps, chirps, random levels and holds; listen plays "
+        "nothing and takes what another commander or a replayed bag brings.",
         choices=EXCITATION_KINDS,
     ),
     Parameter(
@@ -26,6 +35,14 @@ EXCITATION_PARAMETERS = (
     ),
     Parameter("excitation.count", 400, "1", "Number of random levels.", 1, 1_000_000),
     Parameter("excitation.seed", 1, "1", "Seed of the random levels.", 0),
+    Parameter(
+        "excitation.duration_s",
+        0.0,
+        "s",
+        "Length of kind informative; 0 for 10 000 samples with what is cold before and after.",
+        0.0,
+        1e6,
+    ),
     Parameter("excitation.levels_a", [], "A", "Levels for kind levels.", -10.0, 10.0, kind="float_array"),
     Parameter(
         "excitation.hold_s", 0.0, "s", "Time at each level; 0 for quasi-static on the preset.", 0.0, 1e5
@@ -43,24 +60,59 @@ EXCITATION_PARAMETERS = (
     ),
 )
 
+INFORMATIVE_SAMPLES = 10_000
+_SPREADS = 2.0
+"""Standard deviations from the mean at which the transition counts as begun and ended."""
 
-def excitation_currents(preset: str, sample_period_s: float, table: ParameterTable) -> NDArray[np.float64]:
+
+def informative_excitation(
+    preset_id: str, duration_s: float, sample_period_s: float, *, seed: int
+) -> Excitation:
+    """Return a recording on which every known effect leaves a mark, across the transition of a preset [A]."""
+    device, point = preset(preset_id), operating_point(preset_id)
+    (mean, spread), (width, _) = device.heating, device.width
+    transition = surrogate_of_temperature(
+        preset_id, np.array([mean - width - _SPREADS * spread, mean + _SPREADS * spread])
+    )
+    return composite_recording(
+        point.cold_a,
+        point.hot_a,
+        transition=(float(transition[0]), float(transition[1])),
+        duration_s=duration_s,
+        sample_period_s=sample_period_s,
+        seed=seed,
+    )
+
+
+def excitation_currents(preset_id: str, sample_period_s: float, table: ParameterTable) -> NDArray[np.float64]:
     """Return the current [A] of every sample (n,); empty for kind `listen`.
 
     Raises
     ------
-    ValueError : no levels for kind `levels`.
+    ValueError : no levels for kind `levels`, fewer than 500 samples for kind `informative`.
     """
-    point = operating_point(preset)
+    point = operating_point(preset_id)
     kind = table.text("excitation.kind")
     hold = table.number("excitation.hold_s") or point.settle_s
     rate = table.number("excitation.rate_a_per_s")
     if kind == "listen":
         return np.empty(0)
+    cold = np.full(max(1, round(table.number("excitation.cold_s") / sample_period_s)), point.cold_a)
     if kind == "damped_oscillation":
         # even steps of current from the coldest to the hottest wall; negative currents heat on a Peltier stage
         share = damped_oscillation(np.linspace(0.0, 1.0, int(table.number("excitation.level")) + 1))
         levels = point.cold_a + (point.hot_a - point.cold_a) * share
+    elif kind == "informative":
+        # the sample before the first current is recorded too
+        left = INFORMATIVE_SAMPLES - 1 - 2 * cold.size
+        duration = table.number("excitation.duration_s") or left * sample_period_s
+        seed = int(table.number("excitation.seed"))
+        play = informative_excitation(preset_id, duration, sample_period_s, seed=seed)
+        currents = play.sample(sample_period_s)
+        if not table.number("excitation.duration_s"):
+            # its segments last whole samples: it may be a few samples longer or shorter than asked for
+            currents = np.concatenate([currents, np.full(left, point.cold_a)])[:left]
+        return np.concatenate([cold, currents, cold])
     elif kind == "random_levels":
         count, seed = int(table.number("excitation.count")), int(table.number("excitation.seed"))
         levels = random_levels(point.lower_a, point.upper_a, count, seed=seed)
@@ -73,5 +125,4 @@ def excitation_currents(preset: str, sample_period_s: float, table: ParameterTab
         if rate
         else Excitation(levels, np.zeros(levels.size), np.full(levels.size, hold))
     )
-    cold = np.full(max(1, round(table.number("excitation.cold_s") / sample_period_s)), point.cold_a)
     return np.concatenate([cold, play.sample(sample_period_s), cold])

@@ -1,7 +1,8 @@
 """`identifier`: excites the device through the running graph, records, fits, and hands the model on.
 
 Started and cancelled by service; progress goes to `/diagnostics`. The fitted model becomes the node's own
-`model.*` parameters, is set on the nodes named in `targets`, and is saved as a parameter file.
+`model.*` parameters, is set on the nodes named in `targets`, and is saved as a parameter file. `~/diagnose`
+compares the last recording with the present model and tells on `/diagnostics` what the model leaves out.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
+from vo2_models.fitting.digest import DIGEST_PARAMETERS
 from vo2_models.fitting.drive_fit import HOLD_OUT
 from vo2_models.model_file import save_model_parameters
 from vo2_models.parameters import Parameter, Value
@@ -40,6 +42,7 @@ from vo2_plant_sim.interface.topics import (
     SAMPLE_QOS,
 )
 
+from vo2_identification.diagnosis_job import DiagnosisJob, summary_values
 from vo2_identification.excitation_plan import EXCITATION_PARAMETERS, excitation_currents
 from vo2_identification.sample_log import SampleLog
 
@@ -86,7 +89,7 @@ class IdentifierNode(Node):
 
     def __init__(self) -> None:
         super().__init__("identifier", namespace=DEFAULT_NAMESPACE)
-        records = (*IDENTIFIER_PARAMETERS, *model_parameters())
+        records = (*IDENTIFIER_PARAMETERS, *model_parameters(), *DIGEST_PARAMETERS)
         self._table = ParameterTable(self, records, read_only=("preset", "rate_hz"))
         self._preset = self._table.text("preset")
         rate = self._table.number("rate_hz") or operating_point(self._preset).rate_hz
@@ -97,6 +100,7 @@ class IdentifierNode(Node):
         self._log = SampleLog(_CHANNELS)
         self._last_recording: Recording | None = None
         self._fit: _Fit | None = None
+        self._diagnosis: DiagnosisJob | None = None
         self._pending: dict[str, tuple[Future, float]] = {}
         self._order = StampOrder()
         self._answer = b""
@@ -110,6 +114,7 @@ class IdentifierNode(Node):
         self.create_subscription(JointState, MEASUREMENT, self._on_measurement, READ_QOS, raw=True)
         self.create_service(Trigger, "~/start", self._on_start)
         self.create_service(Trigger, "~/cancel", self._on_cancel)
+        self.create_service(Trigger, "~/diagnose", self._on_diagnose)
         self.create_timer(_POLL_S, self._on_poll)
         self._tell("idle", "ready; call ~/start")
 
@@ -147,6 +152,27 @@ class IdentifierNode(Node):
             self._fit = None
             self._pending.clear()
             self._tell("cancelled", response.message)
+        return response
+
+    def _on_diagnose(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        model = self._table.given("model.")
+        if self._diagnosis is not None:
+            response.message = f"busy: {self._diagnosis.text}; its answer comes on /diagnostics"
+        elif self._state not in ("idle", "done", "failed", "cancelled"):
+            response.message = f"busy ({self._state}); wait for its end or call ~/cancel first"
+        elif self._last_recording is None:
+            response.message = (
+                "found no recording, need one: call ~/start (excitation.kind informative, fit off)"
+            )
+        elif not model:
+            response.message = "found no model, need one: identify with fit on, or load a file that fit wrote"
+        else:
+            self._diagnosis = DiagnosisJob(self._last_recording, model)
+            response.success = True
+            response.message = (
+                f"diagnosing {len(self._last_recording)} samples; the answer comes on /diagnostics"
+            )
+            self._tell_diagnosis("running", response.message)
         return response
 
     # --- samples ----------------------------------------------------------------------------------
@@ -220,15 +246,18 @@ class IdentifierNode(Node):
                 from vo2_models.fitting.drive_fit import fit_drive
 
                 return fit_drive(recording, drive, hold_out=hold_out, plays=plays, per_play=per_play)  # type: ignore[arg-type]
-            from vo2_models.self_sensing import identify
+            from vo2_models.fitting.device_fit import PLAYS
 
-            return identify(recording, preset)
+            from vo2_identification.fit import model_of
+
+            return model_of([recording], preset, plays=PLAYS)[1]
 
         return fit
 
     # --- what follows the recording, polled -------------------------------------------------------
 
     def _on_poll(self) -> None:
+        self._follow_diagnosis()
         if self._state == "listening" and time.monotonic() - self._heard_s > self._table.number("quiet_s"):
             self._finish_recording()
         elif self._state == "fitting" and self._fit and self._fit.thread and not self._fit.thread.is_alive():
@@ -241,7 +270,9 @@ class IdentifierNode(Node):
             self._tell("failed", fit.error)
             return
         try:
-            self._table.set(fit.model)
+            # an array without elements has no type in ROS: it says nothing and stays unset
+            model = {name: value for name, value in fit.model.items() if not _is_empty(value)}
+            self._table.set(model)
             if self._table.text("model_file"):
                 save_model_parameters(
                     self._table.text("model_file"),
@@ -254,7 +285,10 @@ class IdentifierNode(Node):
         seconds = time.monotonic() - fit.started_s
         self._tell("publishing", f"fitted in {seconds:.1f} s; handing the model on")
         request = SetParametersAtomically.Request()
-        request.parameters = [parameter.to_parameter_msg() for parameter in ros_parameters(fit.model)]
+        # what the calibration left over serves a diagnosis; the other nodes do not know it
+        own = {record.name for record in DIGEST_PARAMETERS}
+        shared = {name: value for name, value in model.items() if name not in own}
+        request.parameters = [parameter.to_parameter_msg() for parameter in ros_parameters(shared)]
         for target in self._table["targets"]:  # type: ignore[union-attr]
             client = self.create_client(SetParametersAtomically, f"{target}/set_parameters_atomically")
             self._pending[str(target)] = (client.call_async(request), time.monotonic() + _SERVICE_TIMEOUT_S)
@@ -273,6 +307,24 @@ class IdentifierNode(Node):
         if not self._pending:
             self._tell("done", "model identified, published and set", percent=100)
 
+    def _follow_diagnosis(self) -> None:
+        """Tell progress in steps of 5 %, and the answer."""
+        job = self._diagnosis
+        if job is None:
+            return
+        if job.running:
+            self._tell_diagnosis("running", job.text, {"percent": 5 * int(20 * job.share)})
+            return
+        self._diagnosis = None
+        if job.answer is None:
+            self._tell_diagnosis("failed", job.error)
+        else:
+            self._tell_diagnosis("done", job.answer.summary, summary_values(job.answer))
+
+    def _tell_diagnosis(self, state: str, text: str, values: Mapping[str, object] | None = None) -> None:
+        level = "error" if state == "failed" else "ok"
+        self._diagnostics.report("diagnosis", level, text, {"state": state, **(values or {})})
+
     def _tell(self, state: str, text: str, *, percent: int = 0, stamp_ns: int | None = None) -> None:
         self._state = state
         level = "error" if state == "failed" else "ok"
@@ -281,6 +333,10 @@ class IdentifierNode(Node):
             time_s = self._last_recording.time_s
             values |= {"first_stamp_s": f"{time_s[0]:.9f}", "last_stamp_s": f"{time_s[-1]:.9f}"}
         self._diagnostics.report("progress", level, text, values, stamp_ns=stamp_ns)
+
+
+def _is_empty(value: Value) -> bool:
+    return isinstance(value, list) and not value
 
 
 def _run_fit(fit: _Fit, fitting: Callable[[Recording], Mapping[str, Value]]) -> None:

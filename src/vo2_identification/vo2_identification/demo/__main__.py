@@ -14,18 +14,29 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from vo2_identification.demo.acts import ACTS, act
+from vo2_identification.demo.concealed import check_choice
 from vo2_identification.demo.conductor import Conductor
 from vo2_identification.demo.graph import Graph, GraphError
 from vo2_identification.demo.stage import Stage
 
 __all__ = ["main"]
 
-_OWN = ("bag", "bag_replayed", "measured", "logs", "report.html", "metrics.json", "model.yaml")
+_OWN = (
+    "bag",
+    "bag_replayed",
+    "bag_concealed",
+    "measured",
+    "diagnosis",
+    "logs",
+    "report.html",
+    "metrics.json",
+    "model.yaml",
+)
 """What the demo writes into its folder, and replaces when it runs again."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the acts; return 0, 1 if the graph failed, 2 on bad input."""
+    """Run the acts; return 0, 1 if the graph or the diagnosis failed, 2 on bad input."""
     options = _parser().parse_args(args)
     folder = Path(options.output)
     if problem := _unusable(folder):
@@ -34,8 +45,16 @@ def main(args: Sequence[str] | None = None) -> int:
     if options.seeds:
         from vo2_identification.demo.seeds import run_seeds
 
-        run_seeds(options.preset, range(options.seed, options.seed + options.seeds), folder, print)
+        first = 1 if options.seed is None else options.seed
+        run_seeds(options.preset, range(first, first + options.seeds), folder, print)
         return 0
+    try:
+        check_choice(options.effect, options.preset)
+    except ValueError as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return 2
+    seed = random.SystemRandom().randrange(1, 10_000) if options.seed is None else options.seed
+    print(f"seed {seed}; ./vo2 demo --seed {seed} --effect {options.effect} repeats this run", flush=True)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     for name in _OWN:
         path = folder / name
@@ -44,13 +63,15 @@ def main(args: Sequence[str] | None = None) -> int:
     graph = Graph(options.domain or random.SystemRandom().randrange(1, 100), folder / "logs")
     os.environ.update(graph.environment())
     conductor = Conductor(graph)
-    stage = Stage(folder, options.preset, options.seed, options.effect, graph, conductor)
+    stage = Stage(folder, options.preset, seed, options.effect, graph, conductor)
     conductor.on_progress = _show_progress(stage)
     try:
         for name in options.acts or ACTS:
             act(name)(stage)
         _finish(stage)
-        return 0
+        for failure in stage.failures:
+            print(f"demo: {failure}", file=sys.stderr)
+        return 1 if stage.failures else 0
     except (GraphError, RuntimeError, ValueError) as error:
         stage.hush()
         print(f"demo: {error}", file=sys.stderr)
@@ -114,7 +135,9 @@ def _parser() -> argparse.ArgumentParser:
         "--output", default="output/demo", help="Folder of the results. Default: output/demo."
     )
     parser.add_argument(
-        "--seed", type=int, default=1, help="Seed of the device, its noise and the random levels."
+        "--seed",
+        type=int,
+        help="Seed of the device, its noise, the random levels and the concealed effect. Default: drawn, and printed.",
     )
     parser.add_argument(
         "--effect", default="random", help="Effect to conceal in the last act: an id, random, or none."

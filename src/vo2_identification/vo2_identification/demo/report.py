@@ -136,6 +136,6 @@ def _conditions(stage: Stage) -> str:
         ("run up to this page", f"{stage.metrics['run_s']:.1f} s"),
         ("largest process", f"{stage.metrics['peak_memory_mb']:.0f} MB"),
         ("device seed", str(stage.seed)),
-        ("repeat with", f"./vo2 demo --seed {stage.seed}"),
+        ("repeat with", f"./vo2 demo --seed {stage.seed} --effect {stage.effect}"),
     ]
     return section("Conditions", table("How this page came about", ["what", "value"], rows))

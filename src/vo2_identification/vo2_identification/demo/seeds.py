@@ -68,8 +68,9 @@ def device_errors(device_id: str, seed: int) -> dict[str, dict[str, float]]:
 def run_seeds(
     device_id: str, seeds: range, folder: Path, say: Callable[[str], None]
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Run all devices, print mean and spread, write `seeds.json`; return scheme -> experiment -> statistics."""
+    """Run all devices, print mean and spread, write `seeds.json` after each; return scheme -> experiment -> statistics."""
     rows: list[dict[str, dict[str, float]]] = []
+    summary: dict[str, dict[str, dict[str, float]]] = {}
     for seed in seeds:
         rows.append(device_errors(device_id, seed))
         texts = [
@@ -77,6 +78,16 @@ def run_seeds(
             for scheme in SCHEMES
         ]
         say(f"device {seed}: {'; '.join(texts)}")
+        summary = _summary(rows)
+        # after every device: an interrupt loses nothing
+        _save(folder / "seeds.json", {"devices": rows, "summary": summary})
+    for scheme, found in summary.items():
+        texts = [f"{each} {s['mean']:.2f} ± {s['std']:.2f}" for each, s in found.items()]
+        say(f"{scheme}, mean ± s.d. of {len(rows)} devices in % of range: {', '.join(texts)}")
+    return summary
+
+
+def _summary(rows: list[dict[str, dict[str, float]]]) -> dict[str, dict[str, dict[str, float]]]:
     summary: dict[str, dict[str, dict[str, float]]] = {}
     for scheme in SCHEMES:
         summary[scheme] = {}
@@ -87,9 +98,11 @@ def run_seeds(
                 "std": round(float(values.std(ddof=1)) if values.size > 1 else 0.0, 4),
                 "largest": round(float(values.max()), 4),
             }
-        texts = [f"{each} {s['mean']:.2f} ± {s['std']:.2f}" for each, s in summary[scheme].items()]
-        say(f"{scheme}, mean ± s.d. of {len(rows)} devices in % of range: {', '.join(texts)}")
-    (folder / "seeds.json").write_text(
-        json.dumps({"devices": rows, "summary": summary}, indent=2) + "\n", encoding="utf-8"
-    )
     return summary
+
+
+def _save(path: Path, content: object) -> None:
+    """Replace the file whole, so that an interrupt leaves the one before."""
+    partial = path.with_suffix(".part")
+    partial.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    partial.replace(path)

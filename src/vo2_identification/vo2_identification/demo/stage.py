@@ -48,6 +48,7 @@ class Stage:
     sections : HTML sections of the report, in order
     recordings : namespace -> role -> what the bag holds
     data : (scheme, phase) -> samples, for the figures
+    failures : what went wrong without ending the run; the demo's exit status tells that there is something
     """
 
     folder: Path
@@ -61,6 +62,7 @@ class Stage:
     sections: list[str] = field(default_factory=list)
     recordings: dict[str, dict[str, Recording]] = field(default_factory=dict)
     data: dict[tuple[str, str], Any] = field(default_factory=dict)
+    failures: list[str] = field(default_factory=list)
     started: float = field(default_factory=time.monotonic)
 
     @property
@@ -84,6 +86,13 @@ class Stage:
                     if key.endswith("_mae_percent")
                 )
                 lines.append(f"{scheme} errors in % of range: {errors}")
+        found = self.metrics.get("diagnosis", {})
+        if "right" in found:
+            named = ", ".join(found["effects"]) or "nothing"
+            truth = ", ".join(found["concealed"]) or "nothing"
+            lines.append(
+                f"diagnosis: {named} named, {truth} concealed: {'right' if found['right'] else 'not right'}"
+            )
         return lines
 
     def say(self, text: str) -> None:
