@@ -5,8 +5,10 @@ import math
 import pytest
 from std_srvs.srv import Trigger
 from vo2_control.controller_node import ControllerNode
+from vo2_control.designs import design_feedforward, reach
 from vo2_control.reference_node import ReferenceNode
 from vo2_plant_sim.interface.model import operating_point
+from vo2_plant_sim.interface.parameters import ros_parameters
 from vo2_plant_sim.testing import bench
 
 MS = 1_000_000
@@ -60,11 +62,8 @@ def test_lost_input_holds_three_samples_then_safe_current_then_a_return_without_
         held = [command_of(rig, k, math.nan) for k in range(4, 9)]
         assert held == [last, last, last, 0.0, 0.0]
         text = rig.status("controller: input")[0]
-        rig.until(
-            lambda: rig.status("controller: input")[0].startswith(
-                "safe current 0 A: tip_deflection on estimate"
-            )
-        )
+        rig.until(lambda: rig.status("controller: input")[0].endswith("safe current 0 A"))
+        assert rig.status("controller: input")[0].startswith("tip_deflection on estimate is nan")
         back = command_of(rig, 9, 30 * UM)
         # as near to the safe current as the operating range allows
         assert back == pytest.approx(POINT.lower_a, abs=1e-6), text
@@ -97,20 +96,103 @@ def test_redesign_takes_over_gains_and_refuses_what_makes_no_controller():
     with controller() as rig:
         rig.hear("/vo2/command", ("heater_current",))
         node = rig.add(ControllerNode)
-        client = rig.node.create_client(Trigger, "/vo2/controller/redesign")
-        rig.until(client.service_is_ready)
-
-        def redesign():
-            future = client.call_async(Trigger.Request())
-            rig.until(future.done)
-            return future.result()
-
+        redesign = redesigner(rig)
         node._table.set({"pid.kp": 2.0, "pid.ki": 100.0})
         assert redesign().success
         node._table.set({"limits.lower_a": 0.008, "limits.upper_a": 0.004})
         answer = redesign()
         assert not answer.success
         assert "limits: found lower 0.008 A" in answer.message
+
+
+def redesigner(rig):
+    client = rig.node.create_client(Trigger, "/vo2/controller/redesign")
+    rig.until(client.service_is_ready)
+
+    def redesign():
+        future = client.call_async(Trigger.Request())
+        rig.until(future.done)
+        return future.result()
+
+    return redesign
+
+
+def test_robust_design_commands_and_a_refused_one_leaves_the_former_at_work():
+    with controller("preset:=peltier", "kind:=hinf") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        node = rig.add(ControllerNode)
+        redesign = redesigner(rig)
+        warmer = [command_of(rig, 125 * k, 25 * UM, 30 * UM) for k in range(1, 6)]
+        # negative current heats this device: a deflection below its reference asks for less current
+        assert warmer[-1] < warmer[0]
+        running = node._law
+        for values, reason in (
+            ({"hinf.current_gain_k_per_a": 50.0}, "need the sign - of this device"),
+            ({"hinf.current_gain_k_per_a": -50.0, "hinf.performance.gain": 100.0}, "need at most 1"),
+        ):
+            node._table.set(values)
+            answer = redesign()
+            assert not answer.success and reason in answer.message
+            rig.until(lambda reason=reason: reason in rig.status("controller: design")[0])
+            command_of(rig, 125 * (6 + len(reason)), 25 * UM, 30 * UM)
+            assert node._law is running
+        node._table.set({"hinf.performance.gain": 0.05})
+        assert redesign().success
+        command_of(rig, 125 * 99, 25 * UM, 30 * UM)
+        assert node._law is not running
+
+
+def test_robust_design_for_the_wrong_device_is_refused_at_the_start():
+    with controller("kind:=hinf") as rig, pytest.raises(ValueError, match=r"need the sign \+ of this device"):
+        rig.add(ControllerNode)
+
+
+def test_feedforward_is_added_and_changes_with_the_reference(fitted_model):
+    """Gains of 0 leave the feedforward alone, shifted by what made the start bumpless."""
+    steps = [30 * UM] * 3 + [36 * UM] * 3 + [26 * UM] * 3
+    with controller("feedforward:=true", "pid.kp:=1e-9", "pid.ki:=1e-9") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        node = rig.add(ControllerNode)
+        assert node.set_parameters_atomically(ros_parameters(fitted_model)).successful
+        got = [command_of(rig, k, 30 * UM, reference) for k, reference in enumerate(steps, 1)]
+        ahead = design_feedforward(preset="integrated", sample_period_s=1e-3, values=fitted_model)
+        alone = ahead.run([30 * UM] * 12 + steps)[0][12:]
+        assert got[0] == pytest.approx(0.006, abs=1e-6)
+        assert got == pytest.approx(list(alone + got[0] - alone[0]), abs=2e-6)
+
+
+def test_feedforward_without_model_is_told_and_feedback_goes_on():
+    with controller("feedforward:=true") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        node = rig.add(ControllerNode)
+        command_of(rig, 1, 29 * UM)
+        assert command_of(rig, 9, 29 * UM) > POINT.lower_a
+        node._diagnostics.beat()
+        rig.until(lambda: "feedback alone" in rig.status("controller: feedforward")[0])
+        assert "model.device: found none" in rig.status("controller: feedforward")[0]
+
+
+def test_a_redesign_while_running_makes_no_bump(fitted_model):
+    with controller() as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        node = rig.add(ControllerNode)
+        before = [command_of(rig, k, 30 * UM, 30 * UM) for k in range(1, 4)][-1]
+        gains = {"pid.kp": 3.0, "pid.ki": 100.0, "feedforward": True}
+        assert node.set_parameters_atomically(ros_parameters({**fitted_model, **gains})).successful
+        after = [command_of(rig, k, 30 * UM, 30 * UM) for k in range(4, 12)]
+        assert after == pytest.approx([before] * 8, abs=2e-6)
+
+
+def test_a_set_point_out_of_reach_of_the_model_is_clipped_and_told(fitted_model):
+    ahead = design_feedforward(preset="integrated", sample_period_s=1e-3, values=fitted_model)
+    with controller("pid.kp:=1.0", "pid.ki:=100.0") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        node = rig.add(ControllerNode)
+        assert node.set_parameters_atomically(ros_parameters(fitted_model)).successful
+        command_of(rig, 1, 30 * UM, 200 * UM)
+        rig.until(lambda: f"{reach(ahead)[1] / UM:.2f} um" in rig.status("controller: reference")[0])
+        command_of(rig, 2, 30 * UM, 30 * UM)
+        rig.until(lambda: "reachable again" in rig.status("controller: reference")[0])
 
 
 def test_reference_follows_measurement_stamps_and_starts_again_when_set_anew():

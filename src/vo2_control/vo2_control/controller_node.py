@@ -10,6 +10,8 @@ import math
 import sys
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -17,7 +19,7 @@ from std_srvs.srv import Trigger
 from vo2_models.parameters import Parameter
 from vo2_plant_sim.interface.diagnostics import Diagnostics
 from vo2_plant_sim.interface.executable import run_nodes
-from vo2_plant_sim.interface.lockstep import StampOrder
+from vo2_plant_sim.interface.lockstep import HOLD_SAMPLES, StampOrder
 from vo2_plant_sim.interface.model import PRESETS, model_parameters, operating_point
 from vo2_plant_sim.interface.parameters import ParameterTable
 from vo2_plant_sim.interface.samples import SampleReader, SampleWriter
@@ -36,8 +38,17 @@ from vo2_plant_sim.interface.topics import (
 )
 
 from vo2_control.controller import Controller
-from vo2_control.designs import CONTROLLER_KINDS, CONTROLLER_PARAMETERS, design_controller
-from vo2_control.input_guard import InputGuard
+from vo2_control.designs import (
+    CONTROLLER_KINDS,
+    CONTROLLER_PARAMETERS,
+    design_controller,
+    design_feedforward,
+    reach,
+)
+from vo2_control.safe import SafetySettings, Supervisor
+
+if TYPE_CHECKING:
+    from vo2_control.feedforward import InverseFeedforward
 
 __all__ = ["CONTROLLER_NODE_PARAMETERS", "ControllerNode", "main"]
 
@@ -56,8 +67,25 @@ CONTROLLER_NODE_PARAMETERS = (
         "True: the last set-point holds until the next (set-points by hand). "
         "False: every estimate waits for the set-point of its own stamp.",
     ),
+    Parameter(
+        "feedforward",
+        False,
+        "",
+        "Add the current of the inverted model (model.*), so that the feedback corrects only what it gets wrong.",
+    ),
 )
 _NAN = float("nan")
+_SETTLE_CONSTANTS = 5.0
+
+
+@dataclass(frozen=True)
+class _Design:
+    """What parameters lead to: a law, the inverse of the model if there is one, its reach [m], why there is none."""
+
+    law: Controller
+    ahead: InverseFeedforward | None
+    reach_m: tuple[float, float]
+    without: str
 
 
 class ControllerNode(Node):
@@ -71,16 +99,22 @@ class ControllerNode(Node):
         self._period_s = 1.0 / (self._table.number("rate_hz") or self._point.rate_hz)
         self._wall = self._table.text("time") == "wall"
         self._diagnostics = Diagnostics(self, hardware_id=self._table.text("preset"))
-        self._law: Controller = self._design()
+        design = self._design()
+        self._law, self._ahead = design.law, design.ahead
+        self._pending: Controller | None = None
+        self._tell_feedforward(design)
         self._revision = self._table.revision
-        self._guard = InputGuard(SAFE_CURRENT_A)
+        self._settings = SafetySettings(
+            self._period_s, safe_current_a=SAFE_CURRENT_A, hold_periods=HOLD_SAMPLES, reach_m=design.reach_m
+        )
+        self._supervisor = Supervisor(self._law, self._settings)
         self._order = StampOrder()
         self._reference: tuple[int, float] | None = None
         self._estimate: tuple[int, tuple[float, ...]] | None = None
         self._answer = b""
         self._inputs_since_tick = 0
         self._designer: ThreadPoolExecutor | None = None
-        self._designing: Future[Controller] | None = None
+        self._designing: Future[_Design] | None = None
         self._estimate_reader = SampleReader(ESTIMATE_CHANNELS)
         self._reference_reader = SampleReader(REFERENCE_CHANNELS)
         self._writer = SampleWriter(COMMAND_CHANNELS, self._table.text("preset"))
@@ -134,31 +168,47 @@ class ControllerNode(Node):
             self._diagnostics.report(
                 "stamps", "warn", "the stamp jumped back: the loop starts anew", stamp_ns=stamp_ns
             )
-            self._guard = InputGuard(SAFE_CURRENT_A)
+            self._supervisor = Supervisor(self._law, self._settings)
         if not math.isfinite(deflection):
             self._miss(stamp_ns, f"tip_deflection on {ESTIMATE} is {deflection}: see what the estimator says")
             return
         if not math.isfinite(reference):
             self._miss(stamp_ns, f"tip_deflection on {REFERENCE} is {reference}: send finite set-points")
             return
-        if self._guard.needs_restart:
-            self._law.reset(self._guard.start_from(surrogate), reference, deflection)
-        current = self._law.update(reference, deflection)
-        if self._guard.missed or self._guard.needs_restart:
+        self._supervisor.begin_at(surrogate)
+        reachable = self._supervisor.reachable(reference)
+        ahead = self._feedforward(reachable)
+        if self._pending is not None:
+            self._law, self._pending = self._pending, None
+            self._supervisor.replace_controller(self._law, reachable, deflection, ahead)
+        was_closed = self._supervisor.mode in ("tracking", "limited")
+        decision = self._supervisor.sample(stamp_ns * 1e-9, reference, deflection, feedforward_a=ahead)
+        if not was_closed:
             self._diagnostics.report("input", "ok", "input is there, the loop is closed", stamp_ns=stamp_ns)
-        self._guard.used(current)
-        self._publish(stamp_ns, current)
+        if decision.mode == "limited":
+            self._diagnostics.report("reference", "warn", decision.reason, stamp_ns=stamp_ns)
+        elif self._diagnostics.level("reference") != "ok":
+            self._diagnostics.report("reference", "ok", "reference is reachable again", stamp_ns=stamp_ns)
+        self._publish(stamp_ns, decision.current_a)
+
+    def _feedforward(self, reference_m: float) -> float:
+        """Return the current of the inverted model for the next sample [A]; 0 A without one."""
+        if self._ahead is None:
+            return 0.0
+        if self._pending is not None or self._supervisor.mode in ("idle", "safe"):
+            # settled first: the lead of a cold start would come back as a bump one sample after the bumpless start
+            self._ahead.reset()
+            samples = math.ceil(_SETTLE_CONSTANTS * self._ahead.thermal.time_constant_s / self._period_s)
+            for _ in range(samples):
+                self._ahead.update(reference_m)
+        return self._ahead.update(reference_m).current_a
 
     def _miss(self, stamp_ns: int, why: str) -> None:
-        current = self._guard.miss()
-        if self._guard.is_safe:
-            self._diagnostics.report(
-                "input", "error", f"safe current {current:g} A: {why}", stamp_ns=stamp_ns
-            )
-        else:
-            self._diagnostics.report("input", "warn", f"holding the last command: {why}", stamp_ns=stamp_ns)
+        decision = self._supervisor.lost(stamp_ns * 1e-9, why)
+        level = "error" if decision.mode == "safe" else "warn"
+        self._diagnostics.report("input", level, decision.reason, stamp_ns=stamp_ns)
         self._estimate = None
-        self._publish(stamp_ns, current)
+        self._publish(stamp_ns, decision.current_a)
 
     def _publish(self, stamp_ns: int, current_a: float) -> None:
         self._order.accept(stamp_ns)
@@ -175,14 +225,20 @@ class ControllerNode(Node):
             self._miss(last_ns + round(self._period_s * 1e9), f"nothing on {waiting}: is its node running?")
         self._inputs_since_tick = 0
 
-    def _design(self) -> Controller:
-        table = self._table
-        return design_controller(
-            table.text("kind"),
-            preset=table.text("preset"),
-            sample_period_s=self._period_s,
-            values=table.given(),
+    def _design(self) -> _Design:
+        table, values = self._table, self._table.given()
+        preset = table.text("preset")
+        law = design_controller(
+            table.text("kind"), preset=preset, sample_period_s=self._period_s, values=values
         )
+        ahead, reach_m, without = None, (-math.inf, math.inf), ""
+        if values.get("model.device") or table.flag("feedforward"):
+            try:
+                ahead = design_feedforward(preset=preset, sample_period_s=self._period_s, values=values)
+                reach_m = reach(ahead)
+            except ValueError as error:
+                without = str(error)
+        return _Design(law, ahead if table.flag("feedforward") else None, reach_m, without)
 
     def _rebuild(self) -> None:
         """Take over changed parameters; a law that cannot be designed leaves the present one at work.
@@ -211,20 +267,33 @@ class ControllerNode(Node):
         except ValueError as error:
             self._refuse(error)
 
-    def _take_over(self, law: Controller) -> None:
-        self._law = law
-        self._guard.needs_restart = True
+    def _take_over(self, design: _Design) -> None:
+        """Start with the design at the next sample, from the current that flows then."""
+        self._pending, self._ahead = design.law, design.ahead
+        self._settings = replace(self._settings, reach_m=design.reach_m)
+        self._supervisor.settings = self._settings
         self._diagnostics.report("design", "ok", f"{self._table.text('kind')} designed anew")
+        self._tell_feedforward(design)
 
-    def _refuse(self, error: ValueError) -> None:
-        self._diagnostics.report("design", "error", f"{error}; the former law stays")
+    def _tell_feedforward(self, design: _Design) -> None:
+        if self._table.flag("feedforward") and design.ahead is None:
+            self._diagnostics.report("feedforward", "error", f"{design.without}; feedback alone until then")
+        elif self._diagnostics.level("feedforward") != "ok" or design.ahead is not None:
+            text = "off" if design.ahead is None else "current of the inverted model is added"
+            self._diagnostics.report("feedforward", "ok", text)
+
+    def _refuse(self, error: ValueError) -> str:
+        """Say why a design is refused, and return it."""
+        why = f"refused: {error}; the former law stays"
+        self._diagnostics.report("design", "error", why)
+        return why
 
     def _on_redesign(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._revision = self._table.revision
         try:
             self._take_over(self._design())
         except ValueError as error:
-            response.message = f"refused: {error}; the former law stays"
+            response.message = self._refuse(error)
             return response
         response.success = True
         response.message = f"{self._table.text('kind')} designed from the present parameters"
