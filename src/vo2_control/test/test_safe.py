@@ -137,3 +137,26 @@ def test_bad_settings_are_named():
         SafetySettings(PERIOD, reach_m=(3.0, 2.0))
     with pytest.raises(ValueError, match="stuck_samples"):
         SafetySettings(PERIOD, stuck_samples=1)
+
+
+def test_begins_at_a_current_that_flows_already_but_only_once():
+    s = supervisor()
+    s.begin_at(0.005)
+    assert s.sample(0.0, 30e-6, 30e-6).current_a == pytest.approx(0.005, abs=1e-12)
+    s.begin_at(0.002)
+    assert s.sample(PERIOD, 30e-6, 30e-6).current_a == pytest.approx(0.005, abs=1e-9)
+
+
+def test_lost_input_in_the_words_of_who_found_it():
+    s = supervisor()
+    held = run(s, 20).current_a
+    decisions = [s.lost(k * PERIOD, "nothing on estimate") for k in range(20, 25)]
+    assert [d.current_a for d in decisions] == [held, held, held, 0.0, 0.0]
+    assert decisions[-1].reason == "nothing on estimate: safe current 0 A"
+
+
+def test_feedforward_joins_without_a_bump():
+    s = supervisor()
+    s.begin_at(0.006)
+    assert s.sample(0.0, 30e-6, 30e-6, feedforward_a=0.004).current_a == pytest.approx(0.006, abs=1e-12)
+    assert s.sample(PERIOD, 30e-6, 30e-6, feedforward_a=0.005).current_a == pytest.approx(0.007, abs=1e-9)
