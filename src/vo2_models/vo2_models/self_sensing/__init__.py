@@ -18,6 +18,7 @@ _HOME = {
     "DirectEGPISelfSensing": "direct_egpi",
     "DirectPreisachSelfSensing": "direct_preisach",
     "PolynomialSelfSensing": "polynomial",
+    "DynamicSelfSensing": "dynamic",
     "characterise": "characterise",
     "identify": "identification",
 }

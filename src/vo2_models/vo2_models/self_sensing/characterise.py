@@ -1,4 +1,4 @@
-"""What self-sensing adds to a fitted model: the polynomial, and the error bounds of every scheme."""
+"""What self-sensing adds to a fitted model: the direct schemes, the mode, and the error bounds of every scheme."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
 from vo2_models.self_sensing.bounds import fit_bound
 from vo2_models.self_sensing.direct_egpi import DirectEGPISelfSensing
 from vo2_models.self_sensing.direct_preisach import DirectPreisachSelfSensing
+from vo2_models.self_sensing.dynamic import mode_parameters
 from vo2_models.self_sensing.polynomial import PolynomialSelfSensing
 from vo2_models.self_sensing.records import BOUND_KNOTS, KINDS, SECTION
 from vo2_models.self_sensing.scheme import self_sensing
@@ -44,12 +45,16 @@ def characterise(
             )
     resistance, deflection = recording[RESISTANCE], recording[TIP_DEFLECTION]
     usable = np.isfinite(resistance) & np.isfinite(deflection) & (resistance > 0)
+    whole = bool(np.all(usable))
     resistance, deflection = resistance[usable], deflection[usable]
     found = {
         **PolynomialSelfSensing.fit(resistance, deflection, degree).to_parameters(),
         **DirectEGPISelfSensing.fit(resistance, deflection, plays).to_parameters(),
         **DirectPreisachSelfSensing.fit(resistance, deflection, level).to_parameters(),
     }
+    found |= mode_parameters(
+        recording.time_s if whole else None, resistance, deflection, {**parameters, **found}
+    )
     known = {**parameters, **found}
     log_resistance = np.log10(resistance)
     knots = np.linspace(log_resistance.min(), log_resistance.max(), _BINS)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from vo2_models.device.bank import bank_parameters
 from vo2_models.parameters import Parameter
 
-__all__ = ["BOUND_KNOTS", "KINDS", "PARAMETERS", "SECTION"]
+__all__ = ["BOUND_KNOTS", "KINDS", "MODE", "PARAMETERS", "SECTION"]
 
-KINDS = ("composite", "egpi", "preisach", "polynomial")
+KINDS = ("composite", "egpi", "preisach", "polynomial", "dynamic")
 """Schemes by name, the recommended one first."""
 SECTION = "model.self_sensing"
+MODE = f"{SECTION}.mode"
 BOUND_KNOTS = f"{SECTION}.bounds.log10_resistance"
 
 
@@ -36,6 +37,14 @@ PARAMETERS: tuple[Parameter, ...] = (
         "Chebyshev coefficients of the deflection over that domain, lowest first",
     ),
     _array("egpi.domain", "1", f"{_DOMAIN} direct EGPI model was fitted on"),
+    Parameter(f"{MODE}.frequency", 0.0, "Hz", "natural frequency of the identified mode; 0 without one", 0.0),
+    Parameter(f"{MODE}.damping", 0.0, "1", "damping ratio of the mode", 0.0, 1.0),
+    Parameter(
+        f"{MODE}.share", 0.0, "1", "part of the deflection that moves through it; 0 without mode", 0.0, 1.0
+    ),
+    Parameter(f"{MODE}.sample_period", 0.0, "s", "period at which the dynamic scheme is fed", 0.0),
+    Parameter(f"{MODE}.note", "", "", "why no mode was identified; empty with one"),
+    *bank_parameters(f"{MODE}.deflection", "the deflection under the mode, over the temperature", "m"),
     *bank_parameters(f"{SECTION}.egpi", "the deflection over the scaled -log10 of the resistance", "m"),
     _array("preisach.domain", "1", f"{_DOMAIN} direct Preisach model was fitted on"),
     _array("preisach.weights", "m", "weights of the cells of the direct Preisach model, row by row"),

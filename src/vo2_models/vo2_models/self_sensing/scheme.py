@@ -22,6 +22,7 @@ _CLASSES = {
     "egpi": "direct_egpi.DirectEGPISelfSensing",
     "preisach": "direct_preisach.DirectPreisachSelfSensing",
     "polynomial": "polynomial.PolynomialSelfSensing",
+    "dynamic": "dynamic.DynamicSelfSensing",
 }
 
 
