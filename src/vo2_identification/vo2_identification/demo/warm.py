@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 from vo2_models.device import truth
+from vo2_models.device.presets import preset
 from vo2_models.excitation import damped_oscillation
 from vo2_models.recording import RESISTANCE
-from vo2_models.self_sensing import KINDS, identify, self_sensing
+from vo2_models.self_sensing import KINDS, self_sensing
+
+from vo2_identification.diagnose.base import loop_shapes
+from vo2_identification.diagnose.locate import turning_points
+from vo2_identification.diagnose.nominal import Nominal
+from vo2_identification.fit import model_of
 
 __all__ = ["main"]
 
 
 def main() -> int:
-    """Run a short identification and a few estimates on each preset's smallest sensible recording."""
+    """Run an identification, a few estimates and a corrected simulation on the smallest sensible recordings."""
     started = time.monotonic()
     share = damped_oscillation(np.linspace(0.0, 1.0, 13))
     current = np.repeat(3.68e-3 + 4.81e-3 * share, 10)
@@ -23,9 +30,14 @@ def main() -> int:
     stepper = device.stepper(seed=1)
     stepper.step(0.0)
     recording = device.simulate(current, seed=1)
-    model = identify(recording, "integrated")
+    _, model = model_of([recording], "integrated", plays=6)
     for kind in KINDS:
         self_sensing(kind, model).estimate(recording[RESISTANCE][:10])
+    nominal = Nominal.from_parameters(model)
+    shapes = {channel: shape.fold() for channel, shape in loop_shapes(nominal).items()}
+    turning_points(
+        replace(nominal, corrections=shapes).respond(current, preset("integrated").sample_period).temperature
+    )
     print(f"[vo2] kernels ready after {time.monotonic() - started:.0f} s", flush=True)
     return 0
 
