@@ -106,8 +106,10 @@ def judge(answer: Mapping[str, Any], truth: Concealed) -> Outcome:
     return Outcome(False, False, f"Wrong: {was}.")
 
 
-def diagnosis_section(answer: Mapping[str, Any], truth: Concealed, outcome: Outcome, seed: int) -> str:
-    """Return the report's section: verdict, place, physics, gain, and only then the truth."""
+def diagnosis_section(
+    answer: Mapping[str, Any], truth: Concealed, outcome: Outcome, seed: int, *, figure: str = ""
+) -> str:
+    """Return the report's section: verdict, place, physics, gain (with a figure), and only then the truth."""
     parts = [
         paragraph(
             "The device was given a change, or none, that nobody told the diagnosis about. It got the recording of "
@@ -151,6 +153,8 @@ def diagnosis_section(answer: Mapping[str, Any], truth: Concealed, outcome: Outc
             rows,
         )
     )
+    if figure:
+        parts.append(figure)
     parts.append(paragraph(f"{outcome.sentence} Seed {seed}."))
     parts.append(
         '<p>More in the <a href="diagnosis/report.html">report of the diagnosis</a>; '

@@ -11,7 +11,13 @@ from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Rec
 from vo2_identification.demo.errors import PhaseData
 from vo2_identification.report.figures import COLOURS, LINES, figure_html, new_figure
 
-__all__ = ["identification_figure", "measured_figure", "random_figure", "tracking_figure"]
+__all__ = [
+    "correction_figure",
+    "identification_figure",
+    "measured_figure",
+    "random_figure",
+    "tracking_figure",
+]
 
 _UM = 1e6
 _POINTS = 2500
@@ -129,4 +135,25 @@ def measured_figure(
         left.legend(markerscale=4)
         return figure_html(
             figure, f"{title}: measured and predicted from the voltage by the estimator, on the replayed bag."
+        )
+
+
+def correction_figure(recording: Recording, before: Recording, after: Recording) -> str:
+    """Return what the identified and the corrected model leave over, over time."""
+    with new_figure(height_in=3.2) as figure:
+        top, bottom = figure.subplots(2, 1, sharex=True)
+        time = recording.time_s - recording.time_s[0]
+        for label, model, key, style in (
+            ("identified model", before, "held_out", "-"),
+            ("corrected model", after, "fit", "--"),
+        ):
+            look: dict[str, Any] = {"color": COLOURS[key], "ls": style, "lw": 0.6, "label": label}
+            gap = np.log10(recording[RESISTANCE] / model[RESISTANCE])
+            top.plot(time, gap, **look)
+            bottom.plot(time, (recording[TIP_DEFLECTION] - model[TIP_DEFLECTION]) * _UM, **look)
+        top.set(ylabel="log10 resistance")
+        bottom.set(xlabel="time [s]", ylabel="deflection [µm]")
+        figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+        return figure_html(
+            figure, "Recording minus simulation, with the identified and with the corrected model."
         )

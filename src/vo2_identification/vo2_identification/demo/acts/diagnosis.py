@@ -10,9 +10,14 @@ import time
 from pathlib import Path
 from typing import Any
 
+from vo2_models.device.model import DeviceModel
+from vo2_models.recording import COMMANDED_CURRENT
+
+from vo2_identification.bags import read_recording
 from vo2_identification.demo.acts.identification import play
 from vo2_identification.demo.acts.loops import COMPOSITE
 from vo2_identification.demo.concealed import Concealed, conceal, diagnosis_section, failed_section, judge
+from vo2_identification.demo.figures import correction_figure
 from vo2_identification.demo.graph import GraphError
 from vo2_identification.demo.stage import Stage
 
@@ -50,7 +55,8 @@ def run(stage: Stage) -> None:
         "diagnose_s": round(float(answer.get("seconds", 0.0)), 1),
         "act_s": round(time.monotonic() - began, 1),
     }
-    stage.sections.append(diagnosis_section(answer, truth, outcome, stage.seed))
+    figure = _figure(stage, bag)
+    stage.sections.append(diagnosis_section(answer, truth, outcome, stage.seed, figure=figure))
     stage.say(str(answer.get("summary", answer["verdict"])))
     stage.say(f"revealed: {outcome.sentence} (seed {stage.seed})")
 
@@ -100,6 +106,21 @@ def _record(stage: Stage, truth: Concealed) -> Path:
     graph.end(recorder)
     graph.end()
     return bag
+
+
+def _figure(stage: Stage, bag: Path) -> str:
+    """Draw what the identified model and the corrected one leave over."""
+    stage.show("simulating with the identified and with the corrected model")
+    recording, _ = read_recording(bag)
+    # the first sample was measured before the first command
+    recording = recording.slice(1, len(recording))
+    simulated = [
+        DeviceModel.load(path).simulate(
+            recording[COMMANDED_CURRENT], dt=recording.sample_period_s, noise=False
+        )
+        for path in (stage.model_file, stage.folder / "diagnosis" / "corrected_model.yaml")
+    ]
+    return correction_figure(recording, *simulated)
 
 
 def _diagnose(stage: Stage, bag: Path) -> dict[str, Any]:
