@@ -45,15 +45,14 @@ def main(args: Sequence[str] | None = None) -> int:
     if options.seeds:
         from vo2_identification.demo.seeds import run_seeds
 
-        first = 1 if options.seed is None else options.seed
-        run_seeds(options.preset, range(first, first + options.seeds), folder, print)
+        run_seeds(options.preset, range(options.seed, options.seed + options.seeds), folder, print)
         return 0
     try:
         check_choice(options.effect, options.preset)
     except ValueError as error:
         print(f"demo: {error}", file=sys.stderr)
         return 2
-    seed = random.SystemRandom().randrange(1, 10_000) if options.seed is None else options.seed
+    seed = options.seed
     print(f"seed {seed}; ./vo2 demo --seed {seed} --effect {options.effect} repeats this run", flush=True)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     for name in _OWN:
@@ -137,7 +136,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--seed",
         type=int,
-        help="Seed of the device, its noise, the random levels and the concealed effect. Default: drawn, and printed.",
+        default=1,
+        help="Seed of the device, its noise, the random levels and the concealed effect. Default: 1.",
     )
     parser.add_argument(
         "--effect", default="random", help="Effect to conceal in the last act: an id, random, or none."
