@@ -87,7 +87,9 @@ def simulate(
             heat = surplus * h / (tau * (1.0 + cooling) if surplus < 0.0 else tau)
             theta_slow += h / slow[1] * (drive - theta_slow)
 
-            def temperature_of(fast: float, slow_now: float = theta_slow, around: float = surroundings) -> float:
+            def temperature_of(
+                fast: float, slow_now: float = theta_slow, around: float = surroundings
+            ) -> float:
                 return around + (1.0 - slow[0]) * (fast - around) + slow[0] * slow_now
 
             if latent:
