@@ -9,7 +9,7 @@ from vo2_identification.demo.graph import MODULES
 from vo2_models.model_file import load_model_parameters
 from vo2_plant_sim.interface.parameters import ros_parameters
 
-NODES = ("plant", "estimator", "controller", "reference", "identifier")
+NODES = ("plant", "estimator", "controller", "reference", "feedforward", "identifier")
 
 
 def test_every_node_takes_a_model_file_at_start_and_at_run_time(graph, conductor, model_file):

@@ -26,7 +26,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--output", required=True, metavar="DIR", help="where the results go")
     parser.add_argument(
-        "--next", action="store_true", help="play the proposed experiment on the running graph and go on"
+        "--next",
+        action="store_true",
+        help="not done yet: say that the proposed experiment is not played; play it with the identifier instead",
     )
     parser.add_argument("--quiet", action="store_true", help="no progress")
     options = parser.parse_args(arguments)
@@ -57,6 +59,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     print(diagnosis.summary)
     print(f"report: {Path(options.output) / 'report.html'}")
+    if options.next:
+        print(
+            "diagnose: --next does not play the experiment yet; play next_experiment of diagnosis.json with the "
+            "identifier, record it, and give both bags with --bag",
+            file=sys.stderr,
+        )
     return 0
 
 

@@ -26,7 +26,8 @@ class Thresholds:
 
     Attributes
     ----------
-    gain : least drop of q of a named effect; the largest on recordings without effect were half of it
+    gain : least drop of q of a named effect; on ten recordings without effect the largest drop was 157, so it does
+        not guard alone: share, sigmas and slack must hold too
     sigmas : least distance of a magnitude from neutral, in its standard deviations
     slack : residual power beyond the noise, in noise powers, that unchanged devices show too
     complete : share of the excess beyond that which names must explain together, else "unknown" is the answer
