@@ -2,6 +2,11 @@
 
 import json
 import math
+import os
+import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -10,6 +15,7 @@ from vo2_identification.reproduce.claims import Claim, Section, at_least, at_mos
 from vo2_identification.reproduce.command import section_modules
 from vo2_identification.reproduce.page import page
 from vo2_identification.reproduce.peltier import NOISE_A, current_noise, reference
+from vo2_identification.reproduce.pool import run_many
 
 KEYS = {"id", "section", "claim", "published", "ours", "unit", "met"}
 
@@ -78,3 +84,58 @@ def test_references_and_noise_are_those_of_the_experiments():
     assert 0.4 * NOISE_A < noise.std() < 0.7 * NOISE_A
     power = np.abs(np.fft.rfft(noise)) ** 2
     assert power[3600:].mean() < 0.1 * power[:2800].mean()  # band-limited
+
+
+def _interrupted(arguments, wait_for):
+    """Start python in a group of its own, press Ctrl-C once it has said `wait_for`; return status and what it said."""
+    process = subprocess.Popen(
+        [sys.executable, "-u", *arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    said = ""
+    for line in process.stderr:
+        said += line
+        if wait_for in line:
+            os.killpg(process.pid, signal.SIGINT)
+            break
+    said += process.stderr.read()
+    return process.wait(timeout=30), said
+
+
+def test_interrupt_keeps_the_sections_that_are_done(tmp_path):
+    arguments = [
+        "-m",
+        "vo2_identification.reproduce",
+        "--only",
+        "3.5",
+        "--only",
+        "8.4",
+        "--output",
+        str(tmp_path),
+    ]
+    status, said = _interrupted([*arguments, "--draws", "50"], "8.4    ")
+    assert status == 130 and "interrupted in 8.4" in said and "Traceback" not in said
+    assert {r["section"][:3] for r in json.loads((tmp_path / "reproduction.json").read_text())} == {"3.5"}
+
+
+def test_interrupt_ends_the_processes_of_a_pool_quietly():
+    program = (
+        "import sys, time\n"
+        "from vo2_identification.reproduce.pool import run_many\n"
+        "if __name__ == '__main__':\n"
+        "    try:\n"
+        "        run_many(time.sleep, [0.1] + [60.0] * 7, 2, lambda n: print('one', n, file=sys.stderr))\n"
+        "    except KeyboardInterrupt:\n"
+        "        sys.exit(130)\n"
+    )
+    started = time.monotonic()
+    status, said = _interrupted(["-c", program], "one 1")
+    assert status == 130 and "Traceback" not in said and time.monotonic() - started < 30
+
+
+def test_pool_keeps_the_order_whatever_the_number_of_processes():
+    jobs = list(range(20))
+    assert run_many(abs, jobs, 1, lambda n: None) == run_many(abs, jobs, 2, lambda n: None) == jobs

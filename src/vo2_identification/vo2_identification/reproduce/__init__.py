@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 
 __all__ = ["main"]
 
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as a shell gives it."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Console script; see `vo2_identification.reproduce.command`."""
-    from vo2_identification.reproduce.command import run
+    try:
+        # the libraries behind the sections take seconds to load, in which Ctrl-C works as later
+        from vo2_identification.reproduce.command import run
 
-    return run(arguments)
+        return run(arguments)
+    except KeyboardInterrupt:
+        print("\nreproduce: interrupted", file=sys.stderr)
+        return INTERRUPTED

@@ -13,6 +13,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 from types import ModuleType
 
+from vo2_identification.reproduce import INTERRUPTED
 from vo2_identification.reproduce import sections as section_folder
 from vo2_identification.reproduce.claims import Context, Section
 from vo2_identification.reproduce.page import page
@@ -31,7 +32,7 @@ def section_modules() -> list[ModuleType]:
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; 0 whatever the claims say, 2 on unusable arguments."""
+    """Run the command; 0 whatever the claims say, 2 on unusable arguments, 130 after Ctrl-C (sections done are kept)."""
     parser = argparse.ArgumentParser(
         prog="reproduce",
         description="Published figures of the dissertation beside ours: one page, one JSON file.",
@@ -80,7 +81,15 @@ def run(arguments: Sequence[str] | None = None) -> int:
         context = Context(
             options.draws, options.robust_draws, options.seed, options.workers, _progress(module.NUMBER)
         )
-        section = module.run(context)
+        try:
+            section = module.run(context)
+        except KeyboardInterrupt:
+            kept = f"{len(done)} of {len(wanted)} sections are in {options.output / 'reproduction.html'}"
+            print(
+                f"\nreproduce: interrupted in {module.NUMBER}; {kept if done else 'no section was done yet'}",
+                file=sys.stderr,
+            )
+            return INTERRUPTED
         done.append(section)
         met = sum(claim.met for claim in section.claims)
         _line(
