@@ -18,14 +18,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import control
 import numpy as np
 from vo2_models.parameters import Parameter, Value
 from vo2_models.validation import positive_number
 
 from vo2_control.sampled_loop import ThermalLag
+
+if TYPE_CHECKING:
+    import control
 
 __all__ = [
     "DESIGN_PARAMETERS",
@@ -65,6 +67,8 @@ class LeadLag:
 
     def system(self, inputs: str, outputs: str) -> control.StateSpace:
         """The weight as a state-space system between two named signals."""
+        import control
+
         numerator = [0.0 if math.isinf(self.zero_rad_s) else self.gain / self.zero_rad_s, self.gain]
         denominator = [0.0 if math.isinf(self.pole_rad_s) else 1 / self.pole_rad_s, 1.0]
         if denominator[0] == 0:
@@ -140,6 +144,9 @@ def generalised_plant(design: RobustDesign) -> control.StateSpace:
     >>> generalised_plant(RobustDesign()).nstates
     7
     """
+    # a second to load, and every controller node declares the parameters of this module
+    import control
+
     tau, half = design.time_constant_s, design.dead_time_s / 2
     pade = control.ss(
         control.tf([-half, 1.0], [half, 1.0]), inputs="i_total", outputs="i_late", name="dead_time"

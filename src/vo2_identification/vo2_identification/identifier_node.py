@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
@@ -70,7 +71,8 @@ IDENTIFIER_PARAMETERS = (
 )
 _CHANNELS = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE, "heater_voltage")
 _POLL_S = 0.05
-_SERVICE_TIMEOUT_S = 10.0
+_SERVICE_TIMEOUT_S = 15.0
+_ASK_AGAIN_S = 3.0
 
 
 @dataclass
@@ -82,6 +84,23 @@ class _Fit:
     model: dict[str, Value] = field(default_factory=dict)
     error: str = ""
     started_s: float = 0.0
+
+
+@dataclass
+class _Target:
+    """A node that is to get the model: what is asked of it, when it was asked last, until when it may answer."""
+
+    client: Client
+    request: SetParametersAtomically.Request
+    deadline_s: float
+    answer: Future | None = None
+    asked_s: float = -math.inf
+
+    def ask(self) -> None:
+        """Ask once the service is there, and again if no answer comes: early in its life a link may lose one."""
+        now = time.monotonic()
+        if now - self.asked_s > _ASK_AGAIN_S and self.client.service_is_ready():
+            self.answer, self.asked_s = self.client.call_async(self.request), now
 
 
 class IdentifierNode(Node):
@@ -101,7 +120,7 @@ class IdentifierNode(Node):
         self._last_recording: Recording | None = None
         self._fit: _Fit | None = None
         self._diagnosis: DiagnosisJob | None = None
-        self._pending: dict[str, tuple[Future, float]] = {}
+        self._pending: dict[str, _Target] = {}
         self._order = StampOrder()
         self._answer = b""
         self._device = ""
@@ -291,17 +310,18 @@ class IdentifierNode(Node):
         request.parameters = [parameter.to_parameter_msg() for parameter in ros_parameters(shared)]
         for target in self._table["targets"]:  # type: ignore[union-attr]
             client = self.create_client(SetParametersAtomically, f"{target}/set_parameters_atomically")
-            self._pending[str(target)] = (client.call_async(request), time.monotonic() + _SERVICE_TIMEOUT_S)
+            self._pending[str(target)] = _Target(client, request, time.monotonic() + _SERVICE_TIMEOUT_S)
 
     def _check_targets(self) -> None:
-        for target, (future, deadline) in list(self._pending.items()):
-            if future.done():
-                result = future.result().result
+        for target, asked in list(self._pending.items()):
+            asked.ask()
+            if asked.answer is not None and asked.answer.done():
+                result = asked.answer.result().result
                 if not result.successful:
                     self._tell("failed", f"{target} refused the model: {result.reason}")
                     return
                 del self._pending[target]
-            elif time.monotonic() > deadline:
+            elif time.monotonic() > asked.deadline_s:
                 self._tell("failed", f"{target} does not answer: is this node running? (parameter targets)")
                 return
         if not self._pending:

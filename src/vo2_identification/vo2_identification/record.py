@@ -26,6 +26,7 @@ the stamps of the samples, so a run in simulated time gives the same bag every t
 """
 _SPIN_S = 0.05
 _DRAIN_S = 0.3
+_GATHER_S = 0.02
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -95,8 +96,14 @@ def _spin(recorder: Recorder, options: argparse.Namespace, stop: StopFlag) -> No
     count_shown = 0
     while not stop.is_set and recorder.failure is None:
         executor.spin_once(timeout_sec=_SPIN_S)
+        # waking up for every message would take time from the loop beside it: they wait for each other
+        time.sleep(_GATHER_S)
+        seen = -1
+        while not _enough(recorder, options) and seen < recorder.count + recorder.repeats:
+            seen = recorder.count + recorder.repeats
+            executor.spin_once(timeout_sec=0.0)
         now = time.monotonic()
-        if options.messages is not None and recorder.count >= options.messages:
+        if _enough(recorder, options):
             return
         if options.duration is not None and now - started >= options.duration:
             return
@@ -112,6 +119,10 @@ def _spin(recorder: Recorder, options: argparse.Namespace, stop: StopFlag) -> No
         executor.spin_once(timeout_sec=_SPIN_S)
         if recorder.count + recorder.repeats == before:
             return
+
+
+def _enough(recorder: Recorder, options: argparse.Namespace) -> bool:
+    return options.messages is not None and recorder.count >= options.messages
 
 
 def _summary(recorder: Recorder, topics: list[str], failure: OSError | None) -> int:

@@ -66,7 +66,9 @@ def main(args: Sequence[str] | None = None) -> int:
     conductor.on_progress = _show_progress(stage)
     try:
         for name in options.acts or ACTS:
+            began = time.monotonic()
             act(name)(stage)
+            stage.metrics.setdefault("acts_s", {})[name] = round(time.monotonic() - began, 1)
         _finish(stage)
         for failure in stage.failures:
             print(f"demo: {failure}", file=sys.stderr)
@@ -89,6 +91,7 @@ def _finish(stage: Stage) -> None:
 
     stage.metrics["setup_s"] = float(os.environ.get("VO2_SETUP_S", "0"))
     stage.graph.check()
+    stage.metrics["cpu_s"] = {name: round(seconds, 1) for name, seconds in stage.graph.cpu_s.items()}
     stage.metrics["peak_memory_mb"] = round(max(stage.graph.peak_kb, _own_peak_kb()) / 1024.0, 1)
     stage.metrics["run_s"] = round(time.monotonic() - stage.started, 1)
     report = write_report(stage)

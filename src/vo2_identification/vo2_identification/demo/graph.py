@@ -33,6 +33,7 @@ MODULES = {
 NODES = ("plant", "estimator", "controller", "reference", "feedforward", "identifier")
 """Executables that are one node each and can be renamed."""
 _END_S = 10.0
+_POLL_S = 0.05
 
 
 class GraphError(RuntimeError):
@@ -41,12 +42,13 @@ class GraphError(RuntimeError):
 
 @dataclass
 class NodeProcess:
-    """One process and its log."""
+    """One process, its log, and what it has used: peak memory [kB], processor time [s]."""
 
     name: str
     process: subprocess.Popen[bytes]
     log: Path
     peak_kb: int = 0
+    cpu_s: float = 0.0
 
     def last_words(self, lines: int = 4) -> str:
         """Return the end of the log in one line."""
@@ -62,12 +64,15 @@ class Graph:
     ----------
     domain : ROS_DOMAIN_ID of all of them
     log_folder : where their output goes, one file each
+    peak_kb : largest memory of a process so far [kB]
+    cpu_s : name -> processor time of the processes of this name that have ended [s]
     """
 
     domain: int
     log_folder: Path
     processes: list[NodeProcess] = field(default_factory=list)
     peak_kb: int = 0
+    cpu_s: dict[str, float] = field(default_factory=dict)
 
     def environment(self) -> dict[str, str]:
         """Return the environment of the processes: this domain, this host only, logs beside the rest."""
@@ -127,13 +132,13 @@ class Graph:
                 raise GraphError(
                     f"{each.name} ended with status {each.process.returncode}: {each.last_words()}"
                 )
-            self._note_memory(each)
+            self._note_use(each)
 
     def end(self, *which: NodeProcess, timeout_s: float = _END_S) -> None:
         """End processes (all, if none is named) with SIGINT, and SIGKILL for one that does not obey."""
         ending = list(which) or list(reversed(self.processes))
         for each in ending:
-            self._note_memory(each)
+            self._note_use(each)
             if each.process.poll() is None:
                 each.process.send_signal(signal.SIGINT)
         deadline = time.monotonic() + timeout_s
@@ -143,23 +148,33 @@ class Graph:
             except subprocess.TimeoutExpired:
                 each.process.kill()
                 each.process.wait()
+            self._note_end(each)
         self.processes = [each for each in self.processes if each not in ending]
 
     def wait(self, which: NodeProcess, timeout_s: float) -> None:
         """Wait until a process has ended by itself; raise a `GraphError` if it fails or takes too long."""
-        try:
-            status = which.process.wait(timeout_s)
-        except subprocess.TimeoutExpired:
-            raise GraphError(f"{which.name} still runs after {timeout_s:g} s: {which.last_words()}") from None
+        deadline = time.monotonic() + timeout_s
+        while (status := which.process.poll()) is None:
+            if time.monotonic() > deadline:
+                raise GraphError(f"{which.name} still runs after {timeout_s:g} s: {which.last_words()}")
+            self._note_use(which)
+            time.sleep(_POLL_S)
         self.processes = [each for each in self.processes if each is not which]
+        self._note_end(which)
         if status:
             raise GraphError(f"{which.name} ended with status {status}: {which.last_words()}")
 
-    def _note_memory(self, each: NodeProcess) -> None:
+    def _note_end(self, each: NodeProcess) -> None:
+        self.cpu_s[each.name] = self.cpu_s.get(each.name, 0.0) + each.cpu_s
+
+    def _note_use(self, each: NodeProcess) -> None:
         try:
             status = Path(f"/proc/{each.process.pid}/status").read_text()
+            # after the name in brackets, which may hold blanks; user and system time in clock ticks
+            counts = Path(f"/proc/{each.process.pid}/stat").read_text().rpartition(")")[2].split()
         except OSError:  # it has just ended
             return
+        each.cpu_s = (int(counts[11]) + int(counts[12])) / os.sysconf("SC_CLK_TCK")
         for line in status.splitlines():
             if line.startswith("VmHWM:"):
                 each.peak_kb = max(each.peak_kb, int(line.split()[1]))

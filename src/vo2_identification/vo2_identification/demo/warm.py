@@ -7,6 +7,10 @@ import time
 from dataclasses import replace
 
 import numpy as np
+from vo2_control.closed_loop import run_loop
+from vo2_control.designs import current_limits
+from vo2_control.model_tuning import tuned_from_model
+from vo2_control.pid import pid_controller
 from vo2_models.device import truth
 from vo2_models.device.presets import preset
 from vo2_models.excitation import damped_oscillation
@@ -33,11 +37,13 @@ def main() -> int:
     _, model = model_of([recording], "integrated", plays=6)
     for kind in KINDS:
         self_sensing(kind, model).estimate(recording[RESISTANCE][:10])
+    period, limits = preset("integrated").sample_period, current_limits("integrated", model)
+    law = pid_controller(tuned_from_model(model, period, limits=limits).gains, limits, period)
+    for kind in ("composite", "polynomial"):
+        run_loop(device, self_sensing(kind, model), law, np.full(10, 30e-6))
     nominal = Nominal.from_parameters(model)
     shapes = {channel: shape.fold() for channel, shape in loop_shapes(nominal).items()}
-    turning_points(
-        replace(nominal, corrections=shapes).respond(current, preset("integrated").sample_period).temperature
-    )
+    turning_points(replace(nominal, corrections=shapes).respond(current, period).temperature)
     print(f"[vo2] kernels ready after {time.monotonic() - started:.0f} s", flush=True)
     return 0
 

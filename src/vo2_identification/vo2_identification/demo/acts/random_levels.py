@@ -24,5 +24,6 @@ def run(stage: Stage) -> None:
         },
     )
     stage.conductor.wait_for_sample(SIDE_ESTIMATE, stage.phases[-1].end_s)
-    # the second opinion on the same samples is only wanted here
-    stage.graph.end(*[each for each in stage.graph.processes if each.name.endswith("estimator_polynomial")])
+    # what has done its part would go on to hear every sample of the loop
+    done = ("estimator_polynomial", "identifier")
+    stage.graph.end(*[each for each in stage.graph.processes if each.name.endswith(done)])
