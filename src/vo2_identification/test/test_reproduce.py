@@ -11,7 +11,7 @@ import time
 import numpy as np
 import pytest
 from vo2_identification.reproduce import main
-from vo2_identification.reproduce.claims import Claim, Section, at_least, at_most, within
+from vo2_identification.reproduce.claims import Claim, Context, Section, at_least, at_most, within
 from vo2_identification.reproduce.command import section_modules
 from vo2_identification.reproduce.page import page
 from vo2_identification.reproduce.peltier import NOISE_A, current_noise, reference
@@ -96,6 +96,7 @@ def _interrupted(arguments, wait_for):
         start_new_session=True,
     )
     said = ""
+    assert process.stderr is not None
     for line in process.stderr:
         said += line
         if wait_for in line:
@@ -139,3 +140,27 @@ def test_interrupt_ends_the_processes_of_a_pool_quietly():
 def test_pool_keeps_the_order_whatever_the_number_of_processes():
     jobs = list(range(20))
     assert run_many(abs, jobs, 1, lambda n: None) == run_many(abs, jobs, 2, lambda n: None) == jobs
+
+
+def _module(number):
+    return next(m for m in section_modules() if number == m.NUMBER)
+
+
+@pytest.mark.parametrize(
+    "number",
+    ["3.6", "6", *(pytest.param(n, marks=pytest.mark.slow) for n in ("2.4", "3.5", "4.3", "4.4", "5"))],
+)
+def test_open_loop_sections_find_a_value_for_every_claim(number):
+    section = _module(number).run(Context())
+    ids = [claim.id for claim in section.claims]
+    assert len(set(ids)) == len(ids)
+    assert all(math.isfinite(claim.ours) for claim in section.claims)
+    assert all(claim.section.startswith(number.split(".")[0]) for claim in section.claims)
+    assert section.figures and all(figure.svg.startswith("<svg") for figure in section.figures)
+
+
+def test_iterations_of_the_fixed_point_inverse_follow_the_tolerance():
+    """6.4.1 on its own model: fewer iterations than published at both tolerances, and fewer at the coarser one."""
+    claims = {claim.id: claim for claim in _module("6").run(Context(seed=7)).claims}
+    fine, coarse = claims["6.4.1.iterations_0.0001"], claims["6.4.1.iterations_0.01"]
+    assert fine.met and coarse.met and coarse.ours < fine.ours

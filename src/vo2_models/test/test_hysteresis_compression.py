@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from vo2_models.hysteresis import CPI, GPI, TanhEnvelopes, compress, partition
+from vo2_models.hysteresis import CPI, GPI, TanhEnvelopes, compress, merge, partition
 from vo2_models.hysteresis.compression_gpi import group_loss, scaling
 
 J = np.arange(1, 31)
@@ -112,6 +112,22 @@ def test_a_compressed_model_follows_the_original(scaled):
     assert error(small.model) < 0.5 * error(uniform)
     assert error(small.model) < 0.005
     assert error(compress(model, 30, scaled=scaled).model) < 1e-12
+
+
+@pytest.mark.parametrize("scaled", [True, False])
+def test_merging_by_the_optimal_cuts_is_compressing(scaled):
+    model = GPI(RADII, ONE_PEAK, TanhEnvelopes(4.5, -0.8, 4.0, 0.6), 0.2, (-1.0, 1.0))
+    small = compress(model, 6, scaled=scaled)
+    same = merge(model, small.cuts, scaled=scaled)
+    for name in ("radii", "weights", "bias"):
+        np.testing.assert_array_equal(getattr(same, name), getattr(small.model, name))
+    np.testing.assert_allclose(merge(model, np.arange(31), scaled=scaled).weights, model.weights, rtol=1e-12)
+
+
+@pytest.mark.parametrize("cuts", [[0, 10, 29], [1, 30], [0, 20, 10, 30], [30], [0, np.nan, 30]])
+def test_merging_refuses_cuts_that_are_no_partition(cuts):
+    with pytest.raises(ValueError, match="cuts"):
+        merge(GPI(RADII, ONE_PEAK, TanhEnvelopes(4.5, -0.8, 4.0, 0.6), 0.2, (-1.0, 1.0)), cuts)
 
 
 def test_one_group_is_the_weighted_mean():

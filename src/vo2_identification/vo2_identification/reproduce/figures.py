@@ -14,8 +14,10 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 STYLES = ("-", "--", "-.", ":")
 
 
-def draw(caption: str, plot: Callable[..., None], *, rows: int = 1, height: float = 3.0) -> Figure:
-    """Return the figure that `plot(*axes)` draws, `rows` panels above each other."""
+def draw(
+    caption: str, plot: Callable[..., None], *, rows: int = 1, columns: int = 1, height: float = 3.0
+) -> Figure:
+    """Return the figure that `plot(*axes)` draws: `rows` panels above each other, `columns` side by side."""
     import matplotlib
     from cycler import cycler
 
@@ -33,14 +35,14 @@ def draw(caption: str, plot: Callable[..., None], *, rows: int = 1, height: floa
         }
     ):
         figure, axes = pyplot.subplots(
-            rows, 1, figsize=(7.5, height * rows), squeeze=False, layout="constrained"
+            rows, columns, figsize=(7.5, height * rows), squeeze=False, layout="constrained"
         )
-        plot(*axes[:, 0])
-        for axis in axes[:, 0]:
+        plot(*axes.flat)
+        for axis in axes.flat:
             if axis.get_legend_handles_labels()[1]:
                 axis.legend(loc="best", fontsize=8)
             for line in axis.get_lines():
-                line.set_rasterized(line.get_xdata().size > 4000)
+                line.set_rasterized(len(line.get_xdata()) > 4000)
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None})
         pyplot.close(figure)

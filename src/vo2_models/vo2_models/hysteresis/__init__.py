@@ -46,6 +46,7 @@ _HOME = {
     "convergence_condition": "inverse_fixed_point",
     "RobustInverse": "inverse_robust",
     "compress": "compression_gpi",
+    "merge": "compression_gpi",
     "partition": "compression_gpi",
     "identify_play_weights": "compressive_sensing_gpi",
     "PlayFit": "fitting_gpi",

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from vo2_models.hysteresis.prandtl_ishlinskii import PlayModel
 from vo2_models.validation import finite_array, increasing, nonnegative
 
-__all__ = ["Compression", "CompressionResult", "compress", "group_loss", "partition", "scaling"]
+__all__ = ["Compression", "CompressionResult", "compress", "group_loss", "merge", "partition", "scaling"]
 
 FloatArray = NDArray[np.float64]
 Criterion = Literal["sum", "max"]
@@ -204,21 +204,48 @@ def compress(
     ------
     ValueError : one envelope pair per play, weights below zero, equal radii, or no input range where one is needed.
     """
+    reach = _reach(model, scaled, input_range)
+    cuts, loss = partition(model.radii, model.weights * reach, plays, criterion=criterion)
+    return Compression(merge(model, cuts, scaled=scaled, input_range=input_range), cuts, loss)
+
+
+def _reach(model: PlayModel, scaled: bool, input_range: tuple[float, float] | None) -> FloatArray:
+    """What the weights are multiplied with before compression: (3.11), or ones."""
     if model.envelopes.plays is not None:
         raise ValueError("model: found one envelope pair per play, need a shared pair to compress")
-    radii, weights = model.radii, model.weights
+    if not scaled:
+        return np.ones(model.plays)
     limits = input_range if input_range is not None else model.input_range
-    if scaled:
-        if limits is None:
-            raise ValueError(
-                "input_range: found none, need (low, high) here or in the model to scale the weights"
-            )
-        reach = scaling(model, radii, limits)
-    else:
-        reach = np.ones(radii.size)
-    cuts, loss = partition(radii, weights * reach, plays, criterion=criterion)
+    if limits is None:
+        raise ValueError(
+            "input_range: found none, need (low, high) here or in the model to scale the weights"
+        )
+    return scaling(model, model.radii, limits)
+
+
+def merge(
+    model: PlayModel, cuts: ArrayLike, *, scaled: bool = True, input_range: tuple[float, float] | None = None
+) -> PlayModel:
+    """Return the model with each group of a partition replaced by one play, as `compress` does for the optimal one.
+
+    Parameters
+    ----------
+    cuts : (M + 1,) increasing indices 0 = beta_0 < ... < beta_M = N, for instance those of uniform compression
+    model, scaled, input_range : see `compress`
+
+    Raises
+    ------
+    ValueError : cuts not as above, and the reasons of `compress`.
+    """
+    radii, weights = model.radii, model.weights
+    reach = _reach(model, scaled, input_range)
+    bounds = increasing(finite_array(cuts, "cuts"), "cuts").astype(np.int64)
+    if bounds.size < 2 or bounds[0] != 0 or bounds[-1] != radii.size:
+        raise ValueError(f"cuts: found {bounds.tolist()}, need indices from 0 to {radii.size}")
+    plays = bounds.size - 1
+    limits = input_range if input_range is not None else model.input_range
     new_radii, new_weights = np.empty(plays), np.empty(plays)
-    for k, (start, end) in enumerate(pairwise(cuts)):
+    for k, (start, end) in enumerate(pairwise(bounds)):
         group = slice(int(start), int(end))
         share = weights[group] * reach[group]
         total = float(share.sum())
@@ -229,5 +256,4 @@ def compress(
     if scaled and limits is not None:
         ends = float(model.envelopes.rising(limits[1])) + float(model.envelopes.falling(limits[0]))
         bias += (float(weights.sum()) - float(new_weights.sum())) * ends / 2
-    smaller = replace(model, radii=new_radii, weights=new_weights, bias=bias)  # type: ignore[type-var]
-    return Compression(smaller, cuts, loss)
+    return replace(model, radii=new_radii, weights=new_weights, bias=bias)  # type: ignore[type-var]
