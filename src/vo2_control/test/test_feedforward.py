@@ -129,6 +129,39 @@ def test_limits_and_unreachable_references():
     assert np.abs(np.diff(current)).max() <= 0.5 * PERIOD + 1e-12
 
 
+def test_the_temperature_is_led_no_faster_than_its_rate_and_without_lag_below_it():
+    slow = ThermalPath(25.0, -50.0, 0.0, 25.0)
+    limits = CurrentLimits(-1.2, 1.2)
+
+    def led(reference, rate):
+        ahead = InverseFeedforward(
+            PlayInverse(play_model(), (30.0, 95.0)), slow, limits, 0.125, 0.0, rate_k_per_s=rate
+        )
+        currents, expected = ahead.run(reference)
+        decay, temperature, path = math.exp(-0.125 / 25.0), 25.0, []
+        for i in currents:
+            temperature = decay * temperature + (1 - decay) * (25.0 - 50.0 * i)
+            path.append(temperature)
+        return np.array(path), expected
+
+    # up, and a reversal: the inverse crosses the width of the loop at once, the temperature at its rate
+    t = np.arange(0, 400, 0.125)
+    reference = 30e-6 - 15e-6 * np.cos(2 * np.pi * t / 200)
+    free, _ = led(reference, math.inf)
+    held, expected = led(reference, 0.3)
+    steps = np.abs(np.diff(held)) / 0.125
+    assert steps.max() == pytest.approx(0.3, rel=1e-6)
+    assert np.abs(np.diff(free)).max() / 0.125 > 0.6
+    # off the crossings it follows exactly, where a response of the same effort would lag
+    assert np.median(np.abs(expected[1200:] - reference[1199:-1])) < 1e-9
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, math.nan])
+def test_a_rate_that_is_none_is_refused(rate):
+    with pytest.raises(ValueError, match="rate_k_per_s"):
+        InverseFeedforward(inverse("play"), THERMAL, LIMITS, PERIOD, rate_k_per_s=rate)
+
+
 def test_reset_and_bad_reference():
     ahead = InverseFeedforward(inverse("play"), THERMAL, LIMITS, PERIOD)
     first = ahead.run(reference("play")[:300])[0]

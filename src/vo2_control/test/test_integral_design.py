@@ -5,7 +5,7 @@ import pytest
 from vo2_control.discretise import robust_law
 from vo2_control.generalised_plant import generalised_plant
 from vo2_control.hinf import DesignRefused, synthesise
-from vo2_control.integral_design import covering_weight, integral_design, tuned_integral_law
+from vo2_control.integral_design import central_plant, covering_weight, integral_design, tuned_integral_law
 from vo2_control.sampled_loop import ThermalLag, loop_margins
 
 NOMINAL = ThermalLag(-330e-6, 25.0, 0.38)
@@ -28,6 +28,17 @@ def test_weight_covers_every_identified_plant():
         covering_weight(NOMINAL, [ThermalLag(330e-6, 25.0)])
     with pytest.raises(ValueError, match="at least one"):
         covering_weight(NOMINAL, [])
+
+
+def test_central_plant_needs_a_smaller_weight_than_the_mean():
+    central = central_plant(PLANTS)
+    assert central.gain < 0 and 15 < central.time_constant_s < 30
+    omega = np.logspace(-4, 0.4, 200)
+    mean = ThermalLag(float(np.mean([p.gain for p in PLANTS])), 25.0, 0.38)
+    sizes = [np.log(np.abs(covering_weight(p, PLANTS).response(omega))).mean() for p in (central, mean)]
+    assert sizes[0] < sizes[1] - 0.1
+    with pytest.raises(ValueError, match="at least one"):
+        central_plant([])
 
 
 def test_integral_action_and_robust_stability():

@@ -166,6 +166,9 @@ class InverseFeedforward:
     sample_period_s : [s]
     response_s : time constant with which the temperature is led to the wished one; 0 for the fastest the limits allow
     lead : False for the current that holds the wished temperature: the thermal lag then remains
+    rate_k_per_s : largest rate at which the temperature is led [K/s]. It spreads the jump across the loop after every
+        reversal, which is what costs current, without adding a lag where the reference changes slowly, as a longer
+        `response_s` would.
     """
 
     inverse: HysteresisInverse
@@ -174,6 +177,7 @@ class InverseFeedforward:
     sample_period_s: float
     response_s: float = 0.0
     lead: bool = True
+    rate_k_per_s: float = math.inf
     _temperature: float = field(init=False)
     _expected: deque[float] = field(init=False, repr=False)
 
@@ -181,6 +185,8 @@ class InverseFeedforward:
         positive_number(self.sample_period_s, "sample_period_s")
         if not self.response_s >= 0:
             raise ValueError(f"response_s: found {self.response_s}, need 0 s or more")
+        if not self.rate_k_per_s > 0:
+            raise ValueError(f"rate_k_per_s: found {self.rate_k_per_s}, need a number above 0")
         self._decay = math.exp(-self.sample_period_s / self.thermal.time_constant_s)
         self.reset()
 
@@ -209,7 +215,9 @@ class InverseFeedforward:
             current = thermal.holding(wished)
         else:
             share = 1.0 if self.response_s == 0 else -math.expm1(-self.sample_period_s / self.response_s)
-            current = thermal.holding((now + share * (wished - now) - decay * now) / (1 - decay))
+            travel = self.rate_k_per_s * self.sample_period_s
+            step = min(max(share * (wished - now), -travel), travel)
+            current = thermal.holding((now + step - decay * now) / (1 - decay))
         most = self.limits.rate_a_per_s * self.sample_period_s
         current = min(max(current, self._current - most), self._current + most)
         self._current = min(max(current, self.limits.lower_a), self.limits.upper_a)
@@ -229,6 +237,7 @@ def feedforward_from_model(
     sample_period_s: float,
     *,
     response_s: float | None = None,
+    rate_k_per_s: float = math.inf,
     limits: CurrentLimits | None = None,
 ) -> InverseFeedforward:
     """Return the compensator of a fitted model in flat `model.*` parameters.
@@ -236,6 +245,7 @@ def feedforward_from_model(
     Parameters
     ----------
     response_s : None for two sample periods: fast, without demanding the limits at every reversal
+    rate_k_per_s : see `InverseFeedforward`
     limits : None for the preset's current range
 
     Raises
@@ -263,4 +273,5 @@ def feedforward_from_model(
         limits or CurrentLimits(*nominal.current_range),
         sample_period_s,
         2 * sample_period_s if response_s is None else response_s,
+        rate_k_per_s=rate_k_per_s,
     )

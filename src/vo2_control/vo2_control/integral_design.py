@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import minimize
 
 from vo2_control.controller import LinearLaw
 from vo2_control.discretise import RobustLaw, robust_law
@@ -21,9 +22,58 @@ from vo2_control.generalised_plant import LeadLag, RobustDesign
 from vo2_control.hinf import DesignRefused
 from vo2_control.sampled_loop import ThermalLag, loop_margins
 
-__all__ = ["covering_weight", "integral_design", "tuned_integral_law"]
+__all__ = [
+    "BANDWIDTHS_RAD_S",
+    "EFFORTS",
+    "central_plant",
+    "covering_weight",
+    "integral_design",
+    "tuned_integral_law",
+]
 
 _INTEGRATOR_RAD_S = 1e-5
+BANDWIDTHS_RAD_S = (0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4)
+EFFORTS = (0.1, 1.0)
+"""Grid of `tuned_integral_law` [rad/s, um/A]: from far below the loop's reach to where no plant keeps its margins."""
+_COVERED_RAD_S = (1e-4, 3.0)
+
+
+def _response(plant: ThermalLag, omega: np.ndarray) -> np.ndarray:
+    lag = plant.gain / (1j * omega * plant.time_constant_s + 1)
+    return np.asarray(lag * np.exp(-1j * omega * plant.dead_time_s))
+
+
+def central_plant(plants: Sequence[ThermalLag]) -> ThermalLag:
+    """Return the lag from which the identified plants deviate least: least mean logarithm of max |G_i / G - 1|.
+
+    The mean of gains and time constants is not it: steep plants with a short lag rise highest above it at high frequency,
+    and what a design must hold against is that ratio.
+
+    Raises
+    ------
+    ValueError : no plants.
+
+    >>> ends = [ThermalLag(-1.0, 20.0), ThermalLag(-3.0, 20.0)]
+    >>> round(central_plant(ends).gain, 2)
+    -2.0
+    """
+    if not plants:
+        raise ValueError("plants: found none, need at least one identified plant")
+    omega = np.geomspace(*_COVERED_RAD_S, 60)
+    responses = np.array([_response(plant, omega) for plant in plants])
+    sign = math.copysign(1.0, plants[0].gain)
+    dead = float(np.mean([plant.dead_time_s for plant in plants]))
+
+    def plant_of(x: np.ndarray) -> ThermalLag:
+        return ThermalLag(sign * math.exp(x[0]), math.exp(x[1]), dead)
+
+    def radius(x: np.ndarray) -> float:
+        return float(
+            np.mean(np.log(np.abs(responses / _response(plant_of(x), omega) - 1).max(axis=0) + 1e-9))
+        )
+
+    start = np.mean([[math.log(abs(p.gain)), math.log(p.time_constant_s)] for p in plants], axis=0)
+    return plant_of(minimize(radius, start, method="Nelder-Mead").x)
 
 
 def covering_weight(nominal: ThermalLag, plants: Sequence[ThermalLag]) -> LeadLag:
@@ -40,12 +90,7 @@ def covering_weight(nominal: ThermalLag, plants: Sequence[ThermalLag]) -> LeadLa
     if any(plant.gain * nominal.gain <= 0 for plant in plants):
         raise ValueError("plants: found gains of differing sign, need one sign (sign-flipped plant?)")
     omega = np.logspace(-4, np.log10(30), 200)
-
-    def response(plant: ThermalLag) -> np.ndarray:
-        lag = plant.gain / (1j * omega * plant.time_constant_s + 1)
-        return lag * np.exp(-1j * omega * plant.dead_time_s)
-
-    error = np.max([np.abs(response(plant) / response(nominal) - 1) for plant in plants], axis=0)
+    error = np.max([np.abs(_response(p, omega) / _response(nominal, omega) - 1) for p in plants], axis=0)
     low = max(float(error[0]), 1e-3) * 1.02
     best: tuple[float, LeadLag] | None = None
     for gain, zero in itertools.product(
@@ -84,6 +129,53 @@ def integral_design(
     )
 
 
+def integral_laws(
+    nominal: ThermalLag,
+    plants: Sequence[ThermalLag],
+    sample_period_s: float,
+    *,
+    max_sensitivity: float = 1.6,
+    expected_sign: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> list[RobustLaw]:
+    """Return every law of the grid whose loop keeps Ms and Mt below the limit at every plant, slowest first.
+
+    Parameters
+    ----------
+    nominal : plant of the synthesis, for instance `central_plant(plants)`
+    plants : identified ones, which the uncertainty must cover and the sampled loop must hold
+    max_sensitivity : limit of Ms and Mt; `worst` of each law are the margins where they are worst
+
+    Raises
+    ------
+    DesignRefused : no design keeps the limits; says how many were tried and why the last one failed.
+    """
+    uncertainty = covering_weight(nominal, plants)
+    found = []
+    reason = "none was tried"
+    grid = list(itertools.product(BANDWIDTHS_RAD_S, EFFORTS))
+    for k, (bandwidth, effort) in enumerate(grid):
+        if progress:
+            progress(k / len(grid))
+        design = integral_design(nominal, uncertainty, bandwidth_rad_s=bandwidth, effort=effort)
+        try:
+            # gamma has no meaning of its own here: the margins of the sampled loop decide
+            robust = robust_law(design, sample_period_s, largest_gamma=math.inf, expected_sign=expected_sign)
+        except DesignRefused as refused:
+            reason = str(refused)
+            continue
+        margins = [loop_margins(robust.law, plant.sampled(sample_period_s), points=400) for plant in plants]
+        worst = max(margins, key=lambda m: max(m.sensitivity_peak, m.complementary_peak))
+        peak = max(worst.sensitivity_peak, worst.complementary_peak)
+        if not worst.stable or peak > max_sensitivity:
+            reason = f"sensitivity peak {peak:.2f} at an identified plant, need at most {max_sensitivity:g}"
+            continue
+        found.append(replace(robust, worst=worst))
+    if not found:
+        raise DesignRefused(f"weights: none of {len(grid)} designs keeps the limits; the last: {reason}")
+    return found
+
+
 def tuned_integral_law(
     nominal: ThermalLag,
     plants: Sequence[ThermalLag],
@@ -94,41 +186,13 @@ def tuned_integral_law(
     expected_sign: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> RobustLaw:
-    """Return the law of least cost whose loop keeps Ms and Mt below the limit at every plant.
-
-    Parameters
-    ----------
-    nominal : plant of the synthesis
-    plants : identified ones, which the uncertainty must cover and the sampled loop must hold
-    cost : of a law that keeps the limits
-
-    Raises
-    ------
-    DesignRefused : no design keeps the limits; says how many were tried and why the last one failed.
-    """
-    uncertainty = covering_weight(nominal, plants)
-    best: tuple[float, RobustLaw] | None = None
-    reason = "none was tried"
-    grid = list(itertools.product(np.geomspace(0.01, 0.16, 4), np.geomspace(1.0, 10.0, 2)))
-    for k, (bandwidth, effort) in enumerate(grid):
-        if progress:
-            progress(k / len(grid))
-        design = integral_design(nominal, uncertainty, bandwidth_rad_s=float(bandwidth), effort=float(effort))
-        try:
-            # gamma has no meaning of its own here: the margins of the sampled loop decide
-            found = robust_law(design, sample_period_s, largest_gamma=math.inf, expected_sign=expected_sign)
-        except DesignRefused as refused:
-            reason = str(refused)
-            continue
-        margins = [loop_margins(found.law, plant.sampled(sample_period_s), points=400) for plant in plants]
-        peak = max(max(m.sensitivity_peak, m.complementary_peak) for m in margins)
-        if not all(m.stable for m in margins) or peak > max_sensitivity:
-            reason = f"sensitivity peak {peak:.2f} at an identified plant, need at most {max_sensitivity:g}"
-            continue
-        value = cost(found.law)
-        if best is None or value < best[0]:
-            worst = max(margins, key=lambda m: m.sensitivity_peak)
-            best = value, replace(found, worst=worst)
-    if best is None:
-        raise DesignRefused(f"weights: none of {len(grid)} designs keeps the limits; the last: {reason}")
-    return best[1]
+    """Return the law of least cost among `integral_laws`, which see for parameters and errors."""
+    laws = integral_laws(
+        nominal,
+        plants,
+        sample_period_s,
+        max_sensitivity=max_sensitivity,
+        expected_sign=expected_sign,
+        progress=progress,
+    )
+    return min(laws, key=lambda robust: cost(robust.law))
