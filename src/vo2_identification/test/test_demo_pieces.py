@@ -1,13 +1,14 @@
 """The demo's own pieces: errors as the contract defines them, the sample log, the page, the acts' list."""
 
 import json
+import re
 
 import numpy as np
 import pytest
 import yaml
 from vo2_identification.demo import seeds
 from vo2_identification.demo.acts import ACTS, act
-from vo2_identification.demo.acts.diagnosis import _diagnose
+from vo2_identification.demo.acts.change import start_diagnosis
 from vo2_identification.demo.concealed import Concealed, check_choice, conceal, diagnosis_section, judge
 from vo2_identification.demo.errors import TRUE_DEFLECTION, estimation_error, phase_data, tracking_error
 from vo2_identification.demo.graph import Graph
@@ -185,13 +186,17 @@ def stage(tmp_path):
 
 
 def test_a_diagnosis_that_fails_is_told_with_its_own_words(stage, tmp_path):
-    with pytest.raises(RuntimeError, match=r"diagnose ended with status 2: .*model\.yaml"):
-        _diagnose(stage, tmp_path / "no_bag")
-
-
-def test_a_failed_last_act_leaves_a_section_a_metric_and_a_failure(stage):
+    stage.diagnosing = start_diagnosis(stage, tmp_path / "no_bag", conceal("creep", "integrated", 3))
     act("diagnosis")(stage)
-    assert "model.yaml" in stage.failures[0]
+    assert re.search(r"diagnose ended with status 2: .*model\.yaml", stage.failures[0])
+    assert "FAILED" in stage.sections[0]
+    assert stage.metrics["diagnosis"]["failed"]
+
+
+def test_a_change_that_cannot_be_recorded_leaves_a_section_a_metric_and_a_failure(stage):
+    act("change")(stage)
+    act("diagnosis")(stage)
+    assert "model.yaml" in stage.failures[0] and len(stage.failures) == 1
     assert "FAILED" in stage.sections[0]
     assert stage.metrics["diagnosis"]["failed"]
     assert list(stage.metrics["diagnosis"]["concealed"]) == ["creep"]

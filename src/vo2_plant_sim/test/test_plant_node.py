@@ -34,6 +34,22 @@ def test_each_command_advances_one_sample_with_the_values_of_the_library():
         assert heard[S + k * MS] == tuple(stepper.step(current))
 
 
+def test_the_noise_has_a_seed_of_its_own_and_the_device_does_not_change_with_it():
+    heard = {}
+    for given in ((), ("noise_seed:=4",), ("noise_seed:=9",)):
+        with lockstep("seed:=3", "true_channels:=true", *given) as rig:
+            rig.hear("/vo2/measurement", (*CHANNELS, "true_tip_deflection"))
+            rig.add(PlantNode)
+            rig.until(lambda rig=rig: rig.heard["/vo2/measurement"])
+            rig.say("/vo2/command", S, {"heater_current": 0.006})
+            rig.until(lambda rig=rig: rig.heard["/vo2/measurement"][-1][0] == S + MS)
+            heard[given] = rig.heard["/vo2/measurement"][-1][1]
+    # by default the seed after the device's
+    assert heard[()] == heard["noise_seed:=4",]
+    assert heard["noise_seed:=9",][1] != heard[()][1]
+    assert heard["noise_seed:=9",][3] == heard[()][3]
+
+
 def test_an_unanswered_sample_is_repeated_and_an_old_or_second_answer_changes_nothing():
     with lockstep() as rig:
         rig.hear("/vo2/measurement", CHANNELS)

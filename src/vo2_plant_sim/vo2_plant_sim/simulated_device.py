@@ -17,7 +17,16 @@ TRUE_CHANNELS = ("true_tip_deflection", "true_temperature")
 """What no rig measures: deflection before its sensor [m], film temperature [degC]."""
 
 SIMULATED_DEVICE_PARAMETERS = (
-    Parameter("seed", 1, "1", "Seed of this device's domains and of its sensor noise.", 0, 2**31 - 1),
+    Parameter("seed", 1, "1", "Which device: seed of its domains.", 0, 2**31 - 1),
+    Parameter(
+        "noise_seed",
+        -1,
+        "1",
+        "Seed of the sensors' noise, for several runs of one device; -1 takes it from seed (seed + 1, with source "
+        "model seed itself).",
+        -1,
+        2**31 - 1,
+    ),
     Parameter(
         "source", "truth", "", "Step the ground truth, or what model.* describes.", choices=("truth", "model")
     ),
@@ -63,7 +72,7 @@ def simulated_device(preset: str, rate_hz: float, parameters: ParameterTable) ->
     ValueError : unknown effect, value out of range, or no model where one is asked for.
     """
     period = 1.0 / rate_hz if rate_hz else None
-    seed = int(parameters.number("seed"))
+    seed, noise_seed = (int(parameters.number(name)) for name in ("seed", "noise_seed"))
     noise = parameters.flag("noise")
     effects = _effects(parameters.text("effects"))
     if parameters.text("source") == "model":
@@ -79,12 +88,14 @@ def simulated_device(preset: str, rate_hz: float, parameters: ParameterTable) ->
             raise ValueError(
                 f"model.device: found {model.device}, need the preset {preset}; set the preset or load its model"
             )
+        drawn = seed if noise_seed < 0 else noise_seed
         return SimulatedDevice(
-            Stepper(model.simulation.with_effects(effects), dt=period, seed=seed, noise=noise)
+            Stepper(model.simulation.with_effects(effects), dt=period, seed=drawn, noise=noise)
         )
     device = truth(preset, seed=seed, effects=effects)
     # the noise has a stream of its own: the device must not change with it
-    return SimulatedDevice(device.stepper(dt=period, seed=seed + 1, noise=noise))
+    drawn = seed + 1 if noise_seed < 0 else noise_seed
+    return SimulatedDevice(device.stepper(dt=period, seed=drawn, noise=noise))
 
 
 def _effects(text: str) -> Mapping[str, Mapping[str, float | str]]:

@@ -82,6 +82,8 @@ def main(args: Sequence[str] | None = None) -> int:
         print("demo: interrupted; ending the nodes", file=sys.stderr)
         return 130
     finally:
+        if stage.diagnosing is not None:
+            stage.diagnosing.end()
         graph.end()
         conductor.close()
 

@@ -27,10 +27,11 @@ MODULES = {
     "record": "vo2_identification.record",
     "replay": "vo2_identification.replay",
     "convert": "vo2_identification.convert",
+    "disturbance": "vo2_identification.reproduce.disturbance_node",
 }
 """Executable -> module: the same code as `ros2 run`, without the search for entry points at every start."""
 
-NODES = ("plant", "estimator", "controller", "reference", "feedforward", "identifier")
+NODES = ("plant", "estimator", "controller", "reference", "feedforward", "identifier", "disturbance")
 """Executables that are one node each and can be renamed."""
 _END_S = 10.0
 _POLL_S = 0.05

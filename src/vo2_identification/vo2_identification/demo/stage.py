@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import time
 from dataclasses import dataclass, field
@@ -10,10 +11,11 @@ from typing import Any
 
 from vo2_models.recording import Recording
 
+from vo2_identification.demo.concealed import Concealed
 from vo2_identification.demo.conductor import Conductor
 from vo2_identification.demo.graph import Graph
 
-__all__ = ["Phase", "Stage"]
+__all__ = ["Diagnosing", "Phase", "Stage"]
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,24 @@ class Phase:
     end_s: float
 
 
+@dataclass(frozen=True)
+class Diagnosing:
+    """A diagnosis at work: its process, when it began, its log, what it reads and writes; and what was concealed."""
+
+    process: subprocess.Popen[bytes]
+    began: float
+    log: Path
+    bag: Path
+    output: Path
+    truth: Concealed
+
+    def end(self) -> None:
+        """Leave no process behind."""
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+
+
 @dataclass
 class Stage:
     """Shared by the acts, in the order in which they run.
@@ -48,6 +68,7 @@ class Stage:
     sections : HTML sections of the report, in order
     recordings : namespace -> role -> what the bag holds
     data : (scheme, phase) -> samples, for the figures
+    diagnosing : the diagnosis, once it has been started
     failures : what went wrong without ending the run; the demo's exit status tells that there is something
     """
 
@@ -62,6 +83,7 @@ class Stage:
     sections: list[str] = field(default_factory=list)
     recordings: dict[str, dict[str, Recording]] = field(default_factory=dict)
     data: dict[tuple[str, str], Any] = field(default_factory=dict)
+    diagnosing: Diagnosing | None = None
     failures: list[str] = field(default_factory=list)
     started: float = field(default_factory=time.monotonic)
 

@@ -13,7 +13,7 @@ from vo2_identification.demo.stage import Stage
 
 __all__ = ["ACTS", "act"]
 
-ACTS = ("loops", "identification", "random_levels", "tracking", "bag", "measured", "diagnosis")
+ACTS = ("loops", "identification", "random_levels", "tracking", "bag", "change", "measured", "diagnosis")
 """In the order in which they run."""
 
 

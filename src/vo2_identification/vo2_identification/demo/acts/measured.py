@@ -1,4 +1,4 @@
-"""Act 6: other people's measurements: converted, replayed, identified from the replay, predicted where unseen."""
+"""Act 7: other people's measurements: converted, replayed, identified from the replay, predicted where unseen."""
 
 from __future__ import annotations
 
