@@ -44,7 +44,15 @@ LIMIT_PARAMETERS = (
     Parameter("limits.upper_a", 0.0, "A", "Largest current.", -10.0, 10.0),
     Parameter("limits.rate_a_per_s", 0.0, "A/s", "Largest rate of the current; 0 for none.", 0.0, 1e6),
 )
-CONTROLLER_PARAMETERS = (*PID_PARAMETERS, *DESIGN_PARAMETERS, *LIMIT_PARAMETERS)
+_OPERATING = Parameter(
+    "operating_a",
+    0.0,
+    "A",
+    "Current about which a law was designed, added to what it commands; a law without integral action needs it.",
+    -10.0,
+    10.0,
+)
+CONTROLLER_PARAMETERS = (*PID_PARAMETERS, *DESIGN_PARAMETERS, *LIMIT_PARAMETERS, _OPERATING)
 
 _PUBLISHED = {
     "pi": {
@@ -84,8 +92,14 @@ def design_controller(
         from vo2_control.discretise import robust_law
 
         design = design_from_parameters(values)
-        return robust_law(design, sample_period_s, expected_sign=_sign(preset)).controller(limits)
-    return pid_controller(_gains(kind, preset, sample_period_s, limits, values), limits, sample_period_s)
+        controller = robust_law(design, sample_period_s, expected_sign=_sign(preset)).controller(limits)
+    else:
+        gains = _gains(kind, preset, sample_period_s, limits, values)
+        controller = pid_controller(gains, limits, sample_period_s)
+    operating = float(values.get(_OPERATING.name, 0.0))  # type: ignore[arg-type]
+    if operating:
+        return LinearController(replace(controller.law, operating_a=operating), limits)
+    return controller
 
 
 def current_limits(preset: str, values: Mapping[str, Value]) -> CurrentLimits:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 __all__ = ["Claim", "Context", "Figure", "Rule", "Section", "at_least", "at_most", "within"]
 
@@ -108,6 +109,7 @@ class Context:
     robust_draws : devices of the robustness study
     seed : of the first device; device k has seed + k
     workers : processes
+    folder : where recordings of scenarios go, one folder each
     progress : called with what is being done and the share of the section done, 0 to 1
     """
 
@@ -115,4 +117,5 @@ class Context:
     robust_draws: int = 1000
     seed: int = 1
     workers: int = 1
+    folder: Path = Path("reproduction")
     progress: Callable[[str, float], None] = field(default=lambda text, share: None)

@@ -79,7 +79,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
     for module in wanted:
         begun = time.monotonic()
         context = Context(
-            options.draws, options.robust_draws, options.seed, options.workers, _progress(module.NUMBER)
+            options.draws,
+            options.robust_draws,
+            options.seed,
+            options.workers,
+            options.output,
+            _progress(module.NUMBER),
         )
         try:
             section = module.run(context)

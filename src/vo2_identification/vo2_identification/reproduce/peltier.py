@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,14 +100,28 @@ def experiment(
     seed: int,
     *,
     feedforward_a: Floats | None = None,
+    expected_m: Floats | None = None,
 ) -> LoopResult:
-    """Run one experiment; the settling part is cut off."""
+    """Run one experiment; the settling part is cut off.
+
+    Parameters
+    ----------
+    feedforward_a : (n,) current that the feedback corrects [A], over the whole reference
+    expected_m : (n,) what the feedback is given as its reference instead of the reference itself [m], see
+        `vo2_control.feedforward.InverseFeedforward`; errors are still of the reference
+    """
     wanted, settle = reference(kind)
     disturbance = current_noise(wanted.size, seed) if kind == "noise" else None
     result = run_loop(
-        device, sensing, controller, wanted, disturbance_a=disturbance, feedforward_a=feedforward_a, seed=seed
+        device,
+        sensing,
+        controller,
+        wanted if expected_m is None else expected_m,
+        disturbance_a=disturbance,
+        feedforward_a=feedforward_a,
+        seed=seed,
     )
-    return result.after(settle)
+    return replace(result, reference_m=wanted).after(settle)
 
 
 @dataclass(frozen=True)

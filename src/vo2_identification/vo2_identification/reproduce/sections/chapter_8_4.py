@@ -41,6 +41,11 @@ _WORDS = (("rmse", "RMSE", "um"), ("largest", "Largest error", "um"), ("steady",
 _DEVICES = 50
 
 
+def published(kind: str) -> dict[str, tuple[float, ...]]:
+    """Law -> RMSE, largest error, steady-state error [um], control effort [mA] of an experiment; NaN: not given."""
+    return {name: _PUBLISHED[kind, name] for name in ("H-infinity", "PID")}
+
+
 def run(context: Context) -> Section:
     """Return the section's claims; about 10 s."""
     laws = {
@@ -67,16 +72,16 @@ def run(context: Context) -> Section:
     for key, found in merits.items():
         mean[key] = np.mean([astuple(m) for m in found], axis=0)
         kind, name = key
-        for (short, words, unit), published, ours in zip(_WORDS, _PUBLISHED[key], mean[key], strict=False):
-            if np.isfinite(published):
+        for (short, words, unit), theirs, ours in zip(_WORDS, _PUBLISHED[key], mean[key], strict=False):
+            if np.isfinite(theirs):
                 claims.append(
                     Claim(
-                        f"{_SECTION[kind]}.{name.lower()}.{short}", _SECTION[kind], f"{words}, {name}", published,
-                        float(ours), unit, at_most(published), conditions,
+                        f"{_SECTION[kind]}.{name.lower()}.{short}", _SECTION[kind], f"{words}, {name}", theirs,
+                        float(ours), unit, at_most(theirs), conditions,
                     )
                 )  # fmt: skip
     for kind in EXPERIMENTS:
-        published = _PUBLISHED[kind, "H-infinity"][0] / _PUBLISHED[kind, "PID"][0]
+        theirs = _PUBLISHED[kind, "H-infinity"][0] / _PUBLISHED[kind, "PID"][0]
         ratios = [
             h.rmse_um / p.rmse_um
             for h, p in zip(merits[kind, "H-infinity"], merits[kind, "PID"], strict=True)
@@ -84,7 +89,7 @@ def run(context: Context) -> Section:
         half = 1.96 * np.std(ratios, ddof=1) / np.sqrt(len(ratios)) if len(ratios) > 1 else np.nan
         claims.append(
             Claim(
-                f"{_SECTION[kind]}.ratio", _SECTION[kind], "RMSE of H-infinity over that of PID: does it win", published,
+                f"{_SECTION[kind]}.ratio", _SECTION[kind], "RMSE of H-infinity over that of PID: does it win", theirs,
                 float(np.mean(ratios)), "1", at_most(1.0), f"95 % confidence +-{half:.3f}; {conditions}",
             )
         )  # fmt: skip

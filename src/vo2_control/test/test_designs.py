@@ -1,0 +1,13 @@
+"""Control laws by name."""
+
+import pytest
+from vo2_control.designs import design_controller
+
+
+@pytest.mark.parametrize("operating_a", [0.0, -0.7])
+def test_a_law_without_integral_action_works_about_its_operating_current(operating_a):
+    values = {"pid.kp": -5e4, "operating_a": operating_a}
+    law = design_controller("pid", preset="peltier", sample_period_s=0.125, values=values)
+    assert law.update(30e-6, 30e-6) == pytest.approx(operating_a)
+    # 1 um above the reference: less heating, that is less negative current
+    assert law.update(30e-6, 31e-6) == pytest.approx(min(operating_a + 0.05, 0.05))
