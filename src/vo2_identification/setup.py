@@ -32,6 +32,7 @@ setup(
             "fit = vo2_identification.fit:main",
             "diagnose = vo2_identification.diagnose:main",
             "challenge = vo2_identification.challenge:main",
+            "measured = vo2_identification.measured.command:main",
             "reproduce = vo2_identification.reproduce:main",
         ],
     },
