@@ -12,7 +12,12 @@ from vo2_models.preisach.measured import (
     read_reversal_curves,
     read_voltage_sweep,
 )
-from vo2_models.preisach.measured_study import magnetic_study, piezo_study, sweep_study
+from vo2_models.preisach.measured_study import (
+    magnetic_range_study,
+    magnetic_study,
+    piezo_study,
+    sweep_study,
+)
 from vo2_models.preisach.smooth_fit import fit_smooth, roughness
 
 FOUND = data_folder()
@@ -111,6 +116,57 @@ def test_magnetic_curves_held_out_are_predicted_a_fifth_better_with_smoothness()
     assert study.smooth_rmse < 0.003 * study.output_range
     # no better than the residual it was fitted to: the held-out curves are of the same kind
     assert study.smooth_rmse == pytest.approx(study.noise_rmse, rel=0.5)
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("level", "limit"), [(20, 0.2), (40, 0.4), pytest.param(215, 0.9, marks=pytest.mark.slow)]
+)
+def test_whole_magnetic_recording_is_predicted_a_fifth_better(level, limit):
+    """At every level; the last has cells of the field step between reversals."""
+    curves = read_reversal_curves(DATA / "magnetic_forc" / "UB199BF")
+    study = magnetic_range_study(curves, level, strengths=(1e-3, 1e-5, 1e-7))
+    # the yardstick is the optimum of the constrained problem
+    assert study.slope > -1e-9
+    assert study.slackness < 1e-4
+    assert study.gain >= limit
+    # the same sign on both sides: smoothness by itself changes little over the whole range
+    assert study.nonnegative_rmse == pytest.approx(study.plain_rmse, rel=0.05)
+    # what was held out is predicted nearly as well as what was fitted; negative densities are part of it
+    assert study.smooth_rmse < (1.1 if level < 100 else 3.0) * study.fit.rmse
+    assert study.fit.operator.density.min() < 0.0
+
+
+@needs_data
+def test_training_curves_choose_the_signed_density():
+    curves = read_reversal_curves(DATA / "magnetic_forc" / "UB199BF")
+    v = np.concatenate([np.r_[curves.saturation_t, field] for field in curves.field_t])
+    u = np.concatenate([np.r_[0.0, 1e6 * moment] for moment in curves.moment_am2])
+    label = np.repeat(np.arange(140), [field.size + 1 for field in curves.field_t])
+    measured = (label % 2 == 1) & (np.diff(label, prepend=-1) == 0)
+    walls = np.r_[np.linspace(-0.1881, 0.2075, 20), curves.saturation_t]
+    fit = fit_smooth(v, u, walls, nonnegative=None, groups=label, measured=measured, strengths=(1e-5, 1e-7))
+    assert not fit.nonnegative
+    assert fit.sign_rmse[1] < 0.85 * fit.sign_rmse[0]
+
+
+def test_sign_is_chosen_by_what_is_left_out():
+    rng = np.random.default_rng(1)
+    truth = smooth_truth(12)
+    dented = PreisachOperator(truth.walls, truth.density - np.tril(np.full((12, 12), 0.3)), -1.0)
+    fan = first_order_reversal_fan(truth.walls)
+    groups = np.cumsum(fan == 1.0)
+    found = []
+    for operator in (truth, dented):
+        noisy = operator(fan) + 0.01 * np.ptp(operator(fan)) * rng.normal(size=fan.size)
+        found.append(fit_smooth(fan, noisy, truth.walls, nonnegative=None, groups=groups))
+    assert [fit.nonnegative for fit in found] == [True, False]
+    assert found[0].operator.density.min() >= 0.0
+    error = found[1].operator(fan) - dented(fan)
+    assert np.sqrt(np.mean(error**2)) < 0.01 * np.ptp(dented(fan))  # the noise
+    assert found[1].sign_rmse[1] < 0.2 * found[1].sign_rmse[0]
+    alone = fit_smooth(fan, truth(fan), truth.walls, groups=groups)
+    assert alone.nonnegative and np.isnan(alone.sign_rmse[1])
 
 
 @needs_data

@@ -9,7 +9,7 @@ from scipy.optimize import nnls
 
 from vo2_models.bench.entry import Entry, Figure
 from vo2_models.bench.timing import alternate
-from vo2_models.excitation import damped_oscillation
+from vo2_models.excitation import damped_oscillation, first_order_reversal_fan, random_levels
 from vo2_models.preisach import (
     PreisachOperator,
     compress,
@@ -69,6 +69,32 @@ def _least_squares(level: int, with_yardstick: bool) -> Figure:
     return Figure(seconds, "s", theirs, f"scipy nnls; {note}")
 
 
+def general_input() -> Figure:
+    """A recording that no exact inverse covers: a fan of reversal curves, then as many random levels, level 100."""
+    level = 100
+    rng = np.random.default_rng(2)
+    walls = np.arange(level + 1.0)
+    cells = level * (level + 1) // 2
+    fan = first_order_reversal_fan(walls)
+    v = np.concatenate([fan, random_levels(0.0, float(level), fan.size, seed=rng)])
+    u = PreisachOperator(walls, rng.uniform(0, 12, cells), 0.0, "square")(v) + rng.uniform(-5, 5, v.size)
+    coarse = np.tile(first_order_reversal_fan(walls[:4]), 2)
+    fit_preisach(coarse, np.zeros(coarse.size), walls[:4])  # compiles
+    start = perf_counter()
+    found = fit_preisach(v, u, walls, diagonal="square")
+    seconds = perf_counter() - start
+    matrix = signed_area_matrix(v, walls, diagonal="square")
+    gradient = matrix.T @ found.residual
+    held = found.operator.parameters[:-1] == 0.0
+    worst = max(float(np.max(gradient[:-1])), float(np.max(np.abs(gradient[:-1][~held]))))
+    relative = worst / float(np.linalg.norm(matrix) * np.linalg.norm(u))
+    if not relative < 1e-10:
+        raise RuntimeError(f"least squares: found a gradient of {relative:.1e}, need an optimum to 1e-10")
+    return Figure(
+        seconds, "s", note=f"{v.size} samples, {held.sum()} densities at 0; optimal to {relative:.0e}"
+    )
+
+
 def _compression(level: int) -> Figure:
     rng = np.random.default_rng(0)
     walls = np.linspace(30.0, 80.0, 41)
@@ -83,6 +109,7 @@ ENTRIES = (
     Entry("cs_l30", compressive, 0.1),
     Entry("nnls_l30", lambda: _least_squares(30, True), 0.03),
     Entry("nnls_l100", lambda: _least_squares(100, False), 15.0),
+    Entry("nnls_l100_general", general_input, 15.0),
     Entry("preisach_compress_40_4", lambda: _compression(4), 0.1),
     Entry("preisach_compress_40_8", lambda: _compression(8), 60.0),
 )

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg, sparse
+from scipy.sparse.linalg import LinearOperator
 
 from vo2_models.excitation import damped_oscillation
 from vo2_models.preisach.damped import inverse_map
+from vo2_models.preisach.everett_rows import everett_rows, mass_gradient, mass_gram, node_values
 from vo2_models.preisach.grid import Diagonal, cell_areas, cell_count, checked_walls, pack
 from vo2_models.preisach.nnls import RankDeficientError, nonnegative_least_squares, projected_outputs
 from vo2_models.preisach.operator import PreisachOperator
@@ -60,7 +62,8 @@ def fit_preisach(
     """Minimise |S w - u|_2 over densities, bias and, if asked for, the slope of a linear term.
 
     For the damped oscillation (`excitation.damped_oscillation(walls)`, exactly) the sparse inverse of S is
-    used: milliseconds where the dense problem takes seconds. Any other input goes through the dense matrix.
+    used: milliseconds where the dense problem takes seconds. Any other input goes through the normal equations, which are
+    assembled from the sparse form of the recording (`everett_rows`); a signed fit through the dense matrix.
 
     With inputs on the walls only, a linear term cannot be told from the cells on the diagonal: one sample
     more, at an input outside the grid or (with `diagonal="triangle"`) between walls, is needed. Section 4.4
@@ -99,22 +102,19 @@ def fit_preisach(
         operator = PreisachOperator(checked, weights / areas, bias, diagonal)
         return PreisachFit(operator, 0.0, outputs - operator(inputs))
 
-    matrix = signed_area_matrix(inputs, checked, linear=linear, diagonal=diagonal, history=history)
-    unknowns = matrix.shape[1]
-    still = np.ptp(matrix[:, :cells], axis=0) == 0
-    if np.any(still):
-        i, j = (int(k[np.flatnonzero(still)[0]]) for k in np.tril_indices(level))
-        raise ValueError(
-            f"v: found {np.count_nonzero(still)} of {cells} cells that never switch (the first: alpha in "
-            f"[{checked[i]:g}, {checked[i + 1]:g}], beta in [{checked[j]:g}, {checked[j + 1]:g}]), need an input that "
-            "excites all, such as excitation.damped_oscillation(walls), or fewer cells"
-        )
-    free = np.arange(unknowns) >= cells
+    free = np.arange(cells + 1 + linear) >= cells
+    unknowns = free.size
     try:
         if nonnegative:
-            solution = nonnegative_least_squares(matrix, outputs, free)
+            areas_of, normal = _signed_areas(inputs, checked, areas, linear, history)
+            _refuse_still_cells(normal, areas_of, cells, checked)
+            solution = nonnegative_least_squares(areas_of, outputs, free, normal)
+            residual = outputs - areas_of @ solution
         else:
+            matrix = signed_area_matrix(inputs, checked, linear=linear, diagonal=diagonal, history=history)
+            _refuse_still_cells(matrix.T @ matrix, matrix, cells, checked)
             solution, _, rank, _ = linalg.lstsq(matrix, outputs, lapack_driver="gelsy", cond=1e-11)
+            residual = outputs - matrix @ solution
             if rank < unknowns:
                 raise RankDeficientError(
                     f"the matrix of signed areas has rank {rank} for {unknowns} unknowns"
@@ -131,7 +131,56 @@ def fit_preisach(
         ) from error
     slope = float(solution[-1]) if linear else 0.0
     operator = PreisachOperator(checked, solution[:cells], float(solution[cells]), diagonal)
-    return PreisachFit(operator, slope, outputs - matrix @ solution)
+    return PreisachFit(operator, slope, residual)
+
+
+def _signed_areas(
+    inputs: Floats, walls: Floats, areas: Floats, linear: bool, history: ArrayLike | None
+) -> tuple[LinearOperator, Floats]:
+    """Return the matrix of signed areas as an operator, and its normal matrix, from their sparse form.
+
+    signed areas = (rows C - 1) diag(areas) with node values = C masses: nothing of the size samples times cells is
+    formed, and the product with the transpose costs what the sparse rows weigh.
+    """
+    rows = everett_rows(inputs, walls, history=history)
+    count, cells = rows.shape
+    extra = np.column_stack([np.ones(count), inputs]) if linear else np.ones((count, 1))
+
+    def apply(x: Floats) -> Floats:
+        masses = areas * x[:cells]
+        found = rows @ node_values(masses) - masses.sum() + extra @ x[cells:]
+        return np.asarray(found, dtype=np.float64)
+
+    def adjoint(y: Floats) -> Floats:
+        return np.concatenate([areas * (mass_gradient(rows.T @ y) - y.sum()), extra.T @ y])
+
+    normal = np.empty((cells + extra.shape[1],) * 2)
+    border = np.column_stack([mass_gradient(rows.T @ column) - column.sum() for column in extra.T])
+    sums = border[:, 0] + count
+    inside = mass_gram(rows.T @ rows)
+    inside += count - sums - sums[:, None]
+    inside *= areas
+    inside *= areas[:, None]
+    normal[:cells, :cells] = inside
+    normal[:cells, cells:] = areas[:, None] * border
+    normal[cells:, :cells] = normal[:cells, cells:].T
+    normal[cells:, cells:] = extra.T @ extra
+    shape = (count, cells + extra.shape[1])
+    return LinearOperator(shape, matvec=apply, rmatvec=adjoint, dtype=np.float64), normal
+
+
+def _refuse_still_cells(normal: Floats, matrix: Floats | LinearOperator, cells: int, walls: Floats) -> None:
+    """Raise if the column of a cell does not vary, by its variance."""
+    square = np.diag(normal)[:cells]
+    mean = (matrix.T @ np.ones(matrix.shape[0]))[:cells] / matrix.shape[0]
+    still = square - matrix.shape[0] * mean**2 <= 1e-11 * square
+    if np.any(still):
+        i, j = (int(k[np.flatnonzero(still)[0]]) for k in np.tril_indices(walls.size - 1))
+        raise ValueError(
+            f"v: found {np.count_nonzero(still)} of {cells} cells that never switch (the first: alpha in "
+            f"[{walls[i]:g}, {walls[i + 1]:g}], beta in [{walls[j]:g}, {walls[j + 1]:g}]), need an input that "
+            "excites all, such as excitation.damped_oscillation(walls), or fewer cells"
+        )
 
 
 def _is_damped_oscillation(inputs: Floats, walls: Floats) -> bool:

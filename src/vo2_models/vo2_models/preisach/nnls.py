@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import LinearOperator, splu
 
 __all__ = ["RankDeficientError", "nonnegative_least_squares", "normal_equations", "projected_outputs"]
 
@@ -101,10 +101,22 @@ def normal_equations(
     return np.where(free, x, np.maximum(x, 0.0)) / size, inner
 
 
-def nonnegative_least_squares(matrix: Floats, target: Floats, free: Booleans | None = None) -> Floats:
+def nonnegative_least_squares(
+    matrix: Floats | LinearOperator,
+    target: Floats,
+    free: Booleans | None = None,
+    normal: Floats | None = None,
+) -> Floats:
     """Return x that minimises |matrix x - target|^2 with x >= 0 where `free` is not set.
 
     Solved by the normal equations, then refined on the positive unknowns from the residual itself.
+
+    Parameters
+    ----------
+    matrix : (m, n), as numbers, or as an operator, and then with `normal`
+    target : (m,)
+    free : (n,) True where the sign does not matter
+    normal : (n, n) matrix' matrix, where it is cheaper to come by otherwise
 
     Raises
     ------
@@ -114,10 +126,10 @@ def nonnegative_least_squares(matrix: Floats, target: Floats, free: Booleans | N
     unbounded = np.zeros(columns, dtype=np.bool_) if free is None else free
     if matrix.shape[0] < columns:
         raise RankDeficientError(f"{matrix.shape[0]} samples cannot determine {columns} unknowns")
-    normal = matrix.T @ matrix
-    x, inner = normal_equations(normal, matrix.T @ target, unbounded)
+    gram = matrix.T @ matrix if normal is None else normal
+    x, inner = normal_equations(gram, matrix.T @ target, unbounded)
     k = np.flatnonzero(inner)
-    factor = linalg.cho_factor(normal[np.ix_(k, k)], lower=True, check_finite=False)
+    factor = linalg.cho_factor(gram[np.ix_(k, k)], lower=True, check_finite=False, overwrite_a=True)
     for _ in range(2):
         correction = linalg.cho_solve(factor, (matrix.T @ (target - matrix @ x))[k], check_finite=False)
         x[k] += correction
