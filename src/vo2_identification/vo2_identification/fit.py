@@ -6,14 +6,19 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
     from vo2_models.fitting.device_fit import FitResult
     from vo2_models.parameters import Value
+
+    Floats = NDArray[np.float64]
 
 __all__ = ["main", "model_of"]
 
@@ -108,7 +113,38 @@ def _digest(result: FitResult, first: bool) -> dict[str, Value]:
     reach = basis.half_width_k
     inside = (basis.centre_degc[0] - reach, basis.centre_degc[1] + reach)
     # the model's y is -log10 R
-    return digest_of(path, -gap, tip, inside_degc=inside).to_parameters()
+    short = digest_of(path, -gap, tip, inside_degc=inside)
+    stage = result.residuals.get(STAGE_TEMPERATURE)
+    return replace(
+        short,
+        noise_log_resistance=_noise(path, gap, result, RESISTANCE),
+        noise_deflection=_noise(path, tip, result, TIP_DEFLECTION),
+        noise_stage=() if stage is None else _noise(path, stage[1:stop], result, STAGE_TEMPERATURE),
+    ).to_parameters()
+
+
+def _noise(path: Floats, residual: Floats, result: FitResult, channel: str) -> tuple[float, ...]:
+    """Innovation and colour of a channel's noise: of what even a richer loop shape leaves of the residual."""
+    import numpy as np
+
+    from vo2_identification.diagnose.noise import fit_noise
+    from vo2_identification.diagnose.nominal import basis_of, span_of
+
+    device = result.model.device
+    good = np.isfinite(residual)
+    if np.count_nonzero(good) < 100:
+        return ()
+    left = np.where(good, residual, 0.0)
+    sensor = result.model.sensors.get(channel)
+    level = sensor.noise / (np.log(10.0) if channel == RESISTANCE else 1.0) if sensor else 0.0
+    if channel != STAGE_TEMPERATURE and level > 0.0:
+        features = basis_of(device).features(path, span=span_of(device)[channel])
+        used = features[good] / level
+        gram = used.T @ used
+        gram[np.diag_indices_from(gram)] += 1.0
+        left[good] -= level * (used @ np.linalg.solve(gram, used.T @ (left[good] / level)))
+    found = fit_noise(left, good)
+    return found.innovation, *found.ar
 
 
 def _of_device(recording: Recording, device: str, bag: Path) -> Recording:

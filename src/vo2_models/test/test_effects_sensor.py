@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import lfilter, lsim
 from vo2_models.device import truth
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
@@ -21,12 +21,12 @@ def _with(name: str, **values) -> np.ndarray:
 
 @pytest.mark.parametrize("channel", [RESISTANCE, TIP_DEFLECTION])
 def test_lag(clean, channel):
-    y = clean[channel]
-    decay = np.exp(-DT / 3e-3)
     rest = truth("integrated", seed=4).simulate(np.zeros(1), noise=False)[channel][0]
-    expected = rest + lfilter([1 - decay], [1, -decay], y - rest)
+    # from rest one sample before the first, linear between samples
+    way = np.concatenate([[0.0], clean[channel] - rest])
+    _, expected, _ = lsim(([1.0], [3e-3, 1.0]), way, DT * np.arange(way.size))
     found = _with("sensor_lag", signal=channel, time_constant=3e-3)[channel]
-    assert np.allclose(found, expected, rtol=1e-12, atol=0)
+    assert np.allclose(found, rest + expected[1:], rtol=1e-9, atol=0)
 
 
 @pytest.mark.parametrize("delay", [0.3e-3, 1e-3, 4.6e-3])

@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cholesky, cholesky_banded, solve_banded, solve_triangular
 from vo2_models.device import DeviceModel
 from vo2_models.fitting.enrichment import Correction, EnrichmentBasis
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
-from vo2_identification.diagnose.nominal import Nominal
+from vo2_identification.diagnose.noise import NoiseModel
+from vo2_identification.diagnose.nominal import Nominal, basis_of
 
 __all__ = ["LoopShape", "loop_shapes", "thermal_spread"]
 
@@ -45,10 +46,16 @@ class LoopShape:
         """The mean correction, as a function of the temperature."""
         return self.basis.fold(self.mean, span=self.span)
 
-    def spread_columns(self, temperature: Floats) -> Floats:
-        """Columns (n, m) whose unit-normal combinations are what the calibration leaves open."""
-        features = self.basis.features(temperature, span=self.span)
-        return np.asarray(solve_triangular(self.factor, features.T, lower=True, check_finite=False).T)
+    def spread(self, directions: Floats) -> Floats:
+        """Weights (m, k) that unit-normal directions (m, k) of what the calibration leaves open stand for."""
+        return np.asarray(
+            solve_triangular(self.factor, directions, lower=True, trans="T", check_finite=False)
+        )
+
+    def whitened(self, gram: Floats) -> Floats:
+        """Gram matrix (m, m) of the unit-normal columns, from that of the features: L^-1 G L^-T."""
+        half = solve_triangular(self.factor, gram, lower=True, check_finite=False)
+        return np.asarray(solve_triangular(self.factor, half.T, lower=True, check_finite=False))
 
     def rough_at(self, temperature: Floats) -> Floats:
         """Misfit level (n,) at a temperature: `rough` inside the transition, none outside."""
@@ -69,24 +76,27 @@ def loop_shapes(nominal: Nominal) -> dict[str, LoopShape]:
     ):
         if not present:
             continue
-        basis, span = nominal.basis, nominal.span[channel]
+        basis, span = basis_of(nominal.device), nominal.span[channel]
         digest = nominal.digest
         if digest is None:
             found[channel] = LoopShape(basis, span, np.zeros(basis.columns), np.eye(basis.columns), 0.0)
             continue
         noise = nominal.noise[channel]
         target = digest.log_resistance if channel == RESISTANCE else digest.deflection
-        counts = digest.count > 0
-        features = digest.features(basis, span=span)[counts]
-        variance = noise.level**2 * noise.thinning / digest.count[counts]
-        middle = 0.5 * (digest.temperature[1:] + digest.temperature[:-1])[counts]
+        features = digest.features(basis, span=span)
+        covariance = _block_covariance(noise, digest.count)
+        covariance[0, digest.count <= 0.0] = 1e8 * noise.level**2
+        middle = 0.5 * (digest.temperature[1:] + digest.temperature[:-1])
         inside = (middle > basis.centre_degc[0]) & (middle < basis.centre_degc[1])
         best: tuple[float, LoopShape] | None = None
         for roughness in ROUGHNESS:
-            spread = variance + np.where(inside, (roughness * noise.level) ** 2, 0.0)
-            weighted = features / np.sqrt(spread)[:, None]
-            gram, right = weighted.T @ weighted, weighted.T @ (target[counts] / np.sqrt(spread))
-            energy = float(np.sum(target[counts] ** 2 / spread) + np.sum(np.log(spread)))
+            spread = covariance.copy()
+            spread[0] += np.where(inside, (roughness * noise.level) ** 2, 0.0)
+            root = cholesky_banded(spread, lower=True)
+            weighted = solve_banded((root.shape[0] - 1, 0), root, np.column_stack([features, target]))
+            weighted, aim = weighted[:, :-1], weighted[:, -1]
+            gram, right = weighted.T @ weighted, weighted.T @ aim
+            energy = float(aim @ aim + 2.0 * np.sum(np.log(root[0])))
             for domains in DOMAINS:
                 scale = np.ones(basis.columns)
                 scale[basis.groups["scatter"]] = np.sqrt(basis.domains / domains)
@@ -104,6 +114,25 @@ def loop_shapes(nominal: Nominal) -> dict[str, LoopShape]:
         assert best is not None
         found[channel] = best[1]
     return found
+
+
+def _block_covariance(noise: NoiseModel, count: Floats, *, band: int = 12) -> Floats:
+    """Covariance of the means of successive blocks, lower banded (band, n), for noise of one colour.
+
+    With V(m) the variance of the sum of m neighbours, sums over [a, b) and [c, d) have the covariance
+    (V(d - a) - V(c - a) - V(d - b) + V(c - b)) / 2.
+    """
+    # whole samples, so that it is the covariance of a series; tapered, so that its band alone is one too
+    ends = np.concatenate([[0], np.cumsum(np.maximum(np.rint(count), 1.0))]).astype(np.intp)
+    known = noise.variance_of_sums(int(np.max(ends[band:] - ends[:-band] if ends.size > band else ends)))
+    out = np.zeros((band, count.size))
+    for lag in range(min(band, count.size)):
+        a, b = ends[: count.size - lag], ends[1 : count.size - lag + 1]
+        c, d = ends[lag : count.size], ends[lag + 1 :]
+        v = [known[np.abs(x)] for x in (d - a, c - a, d - b, c - b)]
+        taper = 0.5 * (1.0 - lag / band) / ((b - a) * (d - c))
+        out[lag, : count.size - lag] = taper * (v[0] - v[1] - v[2] + v[3])
+    return out
 
 
 def thermal_spread(model: DeviceModel) -> tuple[dict[str, float], dict[str, float]]:

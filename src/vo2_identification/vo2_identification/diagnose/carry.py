@@ -91,7 +91,7 @@ def _seen_temperature(kind, c, packed_d, out, seen):
 def _finish(kind, c, mode, poly_d, period, rest, at_rest, film, out, result):
     """Terminals, structure and sensors of both channels, once more, on the corrected film."""
     x = np.zeros(_SLOTS)
-    sensors = np.zeros((4, 2))
+    sensors = np.zeros((4, 3))
     lines = np.zeros((4, 256))
     x[S.FILM] = rest[5]
     x[S.OUT_D] = rest[8] + at_rest[1]
@@ -101,6 +101,7 @@ def _finish(kind, c, mode, poly_d, period, rest, at_rest, film, out, result):
     x[S.MODE_INPUT] = still
     sensors[1, 0] = _terminal_resistance(c, x, rest[6] * 10.0 ** at_rest[0], 0.0)
     sensors[2, 0] = still
+    sensors[:, 2] = sensors[:, 0]
     lines[1, :] = sensors[1, 0]
     lines[2, :] = sensors[2, 0]
     for k in range(out.shape[0]):

@@ -62,8 +62,8 @@ class HeldOut:
 
     Attributes
     ----------
-    share : of the excess residual energy explained
-    drop : of the residual energy
+    share : of the excess explained
+    drop : of q of the held-out blocks, given the others
     before, after, floor : channel -> root mean square in judged units: nominal simulation, explained, noise
     spread : largest relative spread of a parameter over the folds, in standard deviations of the fit
     stable : whether every fold agrees in sign and within a factor of two on every magnitude
@@ -77,7 +77,7 @@ class HeldOut:
     stable: bool
 
 
-def block_folds(evidence: Evidence, *, blocks: int = 10) -> list[NDArray[np.bool_]]:
+def block_folds(evidence: Evidence, *, blocks: int = 20) -> list[NDArray[np.bool_]]:
     """Two folds of alternating long blocks, each (N,) True where a sample is held out."""
     odd = np.zeros(evidence.weight.size, dtype=bool)
     for row, part, _ in evidence.iterate():
@@ -105,6 +105,7 @@ def held_out(
     tick : called once per simulation
     """
     nominal = evidence if reference is None else reference
+    q_nominal = nominal.chi_square(nominal.residual)
     before_energy = after_energy = 0.0
     count = 0
     squares: dict[str, dict[str, float]] = {"before": {}, "after": {}}
@@ -123,11 +124,12 @@ def held_out(
             change = np.zeros(evidence.weight.size)
             weights = training.absorb(training.residual)
         plainly = nominal.restricted(~held)
-        without = nominal.residual - nominal.base @ plainly.absorb(plainly.residual)
-        with_it = evidence.residual - change - evidence.base @ weights
+        rest = evidence.residual - change
+        with_it = rest - evidence.base.times(weights)
         use = held & (evidence.weight > 0)
-        before_energy += float(np.sum(without[use] ** 2))
-        after_energy += float(np.sum(with_it[use] ** 2))
+        # q of all minus q of the training blocks: how unlikely the held-out blocks are, given the others
+        before_energy += q_nominal - plainly.chi_square(plainly.residual)
+        after_energy += evidence.chi_square(rest) - training.chi_square(np.where(held, 0.0, rest))
         count += int(np.count_nonzero(use))
         for row in evidence.rows:
             some = use[row.where]

@@ -24,13 +24,16 @@ from scipy.linalg import cho_factor, cho_solve
 from vo2_identification.diagnose.base import LoopShape, loop_shapes, thermal_spread
 from vo2_identification.diagnose.nominal import Nominal, Response
 from vo2_identification.diagnose.part import Part
+from vo2_identification.diagnose.tangent import Tangent
 
-__all__ = ["Evidence", "Row", "gather"]
+__all__ = ["Evidence", "LoopColumns", "Row", "gather"]
 
 Floats = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float | str]]
 CORES = min(os.cpu_count() or 1, 8)
 """Simulations that run side by side; the compiled chain holds no lock."""
+STILL_K = 0.1
+"""Move of a temperature path over which the loop columns are taken as unchanged [K]."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ class Evidence:
     nominal_responses : one per part
     residual : (N,) whitened residual of the nominal simulation
     base : (N, k) whitened tangent of the base
+    loops : channel -> the loop columns that were kept, and where they were taken
     names : of the thermal columns, which are the last
     spreads : a unit of each thermal column, in the parameter's unit
     included : effects that the nominal responses already have
@@ -69,14 +73,15 @@ class Evidence:
     weight: Floats
     nominal_responses: tuple[Response, ...]
     residual: Floats
-    base: Floats
+    base: Tangent
     names: tuple[str, ...]
     spreads: tuple[float, ...]
     included: Effects = field(default_factory=dict)
     shapes: Mapping[str, LoopShape] = field(default_factory=dict)
+    loops: Mapping[str, LoopColumns] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        gram = self.base.T @ self.base
+        gram = self.base.gram()
         gram[np.diag_indices_from(gram)] += 1.0
         object.__setattr__(self, "_factor", cho_factor(gram, lower=True))
 
@@ -121,7 +126,7 @@ class Evidence:
         """
         change = self.stack(self.responses(effects, shift))
         if shift is not None and shift.size:
-            change = change - self.base[:, -shift.size :] @ (shift - self.origin)
+            change = change - self.base.thermal @ (shift - self.origin)
         return change
 
     def deviations(self, several: Sequence[Effects], shift: Floats | None = None) -> list[Floats]:
@@ -133,28 +138,25 @@ class Evidence:
 
     def absorb(self, vector: Floats) -> Floats:
         """Weights (k,) with which the base absorbs a whitened vector."""
-        return cho_solve(self._factor, self.base.T @ vector)  # type: ignore[attr-defined]
+        return cho_solve(self._factor, self.base.against(vector))  # type: ignore[attr-defined]
 
     def left(self, vector: Floats) -> Floats:
         """What the base leaves of a whitened vector (or columns): C^-1 v, C the covariance of noise and base."""
-        return vector - self.base @ cho_solve(self._factor, self.base.T @ vector)  # type: ignore[attr-defined]
+        return vector - self.base.times(self.absorb(vector))
 
-    def left_at(self, place: NDArray[np.intp], columns: Floats) -> Floats:
-        """What the base leaves of whitened columns (m, p) that are zero but at the m samples `place`."""
-        own = self.base[place]
-        used = np.any(own != 0.0, axis=0)
-        inner = np.zeros((self.base.shape[1], columns.shape[1]))
-        inner[used] = own[:, used].T @ columns
-        return np.asarray(columns - own[:, used] @ cho_solve(self._factor, inner)[used])  # type: ignore[attr-defined]
+    def left_in(self, rows: slice, columns: Floats) -> Floats:
+        """What the base leaves of whitened columns (n, p) of one channel that are zero in all others."""
+        inner = cho_solve(self._factor, self.base.against_rows(rows, columns))  # type: ignore[attr-defined]
+        return columns - self.base.times_rows(rows, inner)
 
     def chi_square(self, vector: Floats) -> float:
         """q of a whitened vector."""
-        inner = self.base.T @ vector
+        inner = self.base.against(vector)
         return float(vector @ vector - inner @ cho_solve(self._factor, inner))  # type: ignore[attr-defined]
 
     def chi_squares(self, columns: Floats) -> Floats:
         """q of each of the whitened columns (N, m)."""
-        inner = self.base.T @ columns
+        inner = self.base.against(columns)
         return np.asarray(
             np.sum(columns**2, axis=0) - np.sum(inner * cho_solve(self._factor, inner), axis=0)  # type: ignore[attr-defined]
         )
@@ -166,8 +168,13 @@ class Evidence:
             self,
             weight=weight,
             residual=np.where(keep, self.residual, 0.0),
-            base=self.base * keep[:, None],
+            base=self.base.restricted(keep),
         )
+
+    def rows_of(self, channel: str) -> slice:
+        """Where a channel stands, over all recordings."""
+        own = [row.where for row in self.rows if row.channel == channel]
+        return slice(own[0].start, own[-1].stop)
 
     def iterate(self) -> Iterator[tuple[Row, Part, Response]]:
         """Rows with their recording and nominal response."""
@@ -182,6 +189,7 @@ def gather(
     shift: Floats | None = None,
     effects: Effects | None = None,
     shapes: Mapping[str, LoopShape] | None = None,
+    loops: Mapping[str, LoopColumns] | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> Evidence:
     """Build the problem: loop shape from the calibration, simulation of every part, whitened base.
@@ -193,6 +201,8 @@ def gather(
     shift : move of the thermal parameters to linearise about; the base pays for it as for its own moves
     effects : effects to linearise about
     shapes : posterior of the loop shapes, where it is known already
+    loops : columns of an earlier problem: their directions are kept, and they themselves where the
+        temperatures have hardly moved
     say : called with what is being done
     """
     shapes = loop_shapes(nominal) if shapes is None else shapes
@@ -205,10 +215,11 @@ def gather(
         corrected.respond(p.current, p.dt, effects=effects, thermal=thermal, settled=p.settled) for p in parts
     ]
     rows, end = [], 0
-    for index, part in enumerate(parts):
-        for channel in part.channels:
-            rows.append(Row(index, channel, slice(end, end + part.size)))
-            end += part.size
+    for channel in dict.fromkeys(channel for part in parts for channel in part.channels):
+        for index, part in enumerate(parts):
+            if channel in part.channels:
+                rows.append(Row(index, channel, slice(end, end + part.size)))
+                end += part.size
     weight = np.empty(end)
     residual = np.empty(end)
     for row in rows:
@@ -222,11 +233,12 @@ def gather(
         )
         residual[row.where] = noise.whiten(np.where(counts, measured - predicted, 0.0))
     residual *= weight
-    blocks = _loop_columns(shapes, rows, responses, corrected, weight)
+    kept = _loop_columns(shapes, rows, responses, corrected, weight, loops or {})
+    blocks = _whitened(kept, rows, corrected, weight)
     columns = []
     partial = Evidence(
         corrected, origin, tuple(parts), tuple(rows), weight, tuple(responses), residual,
-        np.zeros((end, 0)), (), (), dict(effects or {}), shapes,
+        Tangent((), np.zeros((end, 0))), (), (), dict(effects or {}), shapes, kept,
     )  # fmt: skip
     for place in range(origin.size):
         step = np.zeros(origin.size)
@@ -242,10 +254,10 @@ def gather(
             for p in parts
         ]
         columns.append(partial.stack(moved) / 0.2)
-    base = np.column_stack([blocks, *columns]) if columns else blocks
+    base = Tangent(blocks, np.column_stack(columns) if columns else np.zeros((end, 0)))
     # told from the model's own thermal parameters, so that the base pays for the origin too
     if origin.size:
-        residual = residual + base[:, -origin.size :] @ origin
+        residual = residual + base.thermal @ origin
     return replace(
         partial, residual=residual, base=base, names=tuple(spreads), spreads=tuple(spreads.values())
     )
@@ -268,40 +280,84 @@ def _reach(counts: NDArray[np.bool_], order: int) -> Floats:
     return good.astype(np.float64)
 
 
+@dataclass(frozen=True)
+class LoopColumns:
+    """Columns of one channel's loop shape, before whitening.
+
+    Attributes
+    ----------
+    directions : (m, k) weights of the basis that make them: what the data can tell, each a unit normal beforehand
+    temperature : per recording, (n,) the path they were taken on [degC]
+    raw : per recording, (n, k) in the channel's unit
+    """
+
+    directions: Floats
+    temperature: tuple[Floats, ...]
+    raw: tuple[Floats, ...]
+
+    def fits(self, paths: Sequence[Floats]) -> bool:
+        """Whether the columns are as good on other paths: they change over kelvins."""
+        return len(paths) == len(self.temperature) and all(
+            new.size == old.size and float(np.max(np.abs(new - old))) < STILL_K
+            for new, old in zip(paths, self.temperature, strict=True)
+        )
+
+
 def _loop_columns(
     shapes: Mapping[str, LoopShape],
     rows: Sequence[Row],
     responses: Sequence[Response],
     nominal: Nominal,
     weight: Floats,
-) -> Floats:
-    """Whitened columns of the loop shapes: few directions, each a unit normal beforehand."""
-    parts = []
+    known: Mapping[str, LoopColumns],
+) -> dict[str, LoopColumns]:
+    """Columns of the loop shapes on these responses: few directions, each a unit normal beforehand."""
+    found = {}
     for channel, shape in shapes.items():
         own = [row for row in rows if row.channel == channel]
         if not own:
             continue
-        raw = [shape.spread_columns(responses[row.part].temperature) for row in own]
+        paths = tuple(responses[row.part].temperature for row in own)
+        before = known.get(channel)
+        if before is not None and before.fits(paths):
+            found[channel] = before
+            continue
+        features = [shape.basis.features(path, span=shape.span) for path in paths]
+        if before is None:
+            noise = nominal.noise[channel]
+            gram = sum(
+                _sampled_gram(noise.whiten(f) * weight[row.where, None])
+                for f, row in zip(features, own, strict=True)
+            )
+            directions = shape.spread(_main_directions(shape.whitened(np.asarray(gram))))
+        else:
+            directions = before.directions
+        found[channel] = LoopColumns(directions, paths, tuple(f @ directions for f in features))
+    return found
+
+
+def _whitened(
+    loops: Mapping[str, LoopColumns], rows: Sequence[Row], nominal: Nominal, weight: Floats
+) -> tuple[tuple[slice, Floats], ...]:
+    """Whitened block of each channel, with its rows."""
+    blocks = []
+    for channel, columns in loops.items():
+        own = [row for row in rows if row.channel == channel]
         noise = nominal.noise[channel]
-        whitened = [
-            noise.whiten(columns) * weight[row.where, None] for columns, row in zip(raw, own, strict=True)
+        block = [
+            noise.whiten(raw) * weight[row.where, None] for raw, row in zip(columns.raw, own, strict=True)
         ]
-        directions = _main_directions(whitened)
-        block = np.zeros((weight.size, directions.shape[1]))
-        for columns, row in zip(whitened, own, strict=True):
-            block[row.where] = columns @ directions
-        parts.append(block)
-    return np.column_stack(parts) if parts else np.zeros((weight.size, 0))
+        blocks.append((slice(own[0].where.start, own[-1].where.stop), np.concatenate(block)))
+    return tuple(blocks)
 
 
-def _main_directions(
-    blocks: Sequence[Floats], *, negligible: float = 0.5, most: int = 260, sample: int = 6000
-) -> Floats:
+def _sampled_gram(block: Floats, sample: int = 6000) -> Floats:
+    stride = max(1, block.shape[0] // sample)
+    some = block[::stride]
+    return np.asarray(some.T @ some * float(stride))
+
+
+def _main_directions(gram: Floats, *, negligible: float = 0.5, most: int = 260) -> Floats:
     """Directions (m, k) of unit-normal weights that the data can tell from zero at all."""
-    total = sum(block.shape[0] for block in blocks)
-    stride = max(1, total // sample)
-    gram = sum(block[::stride].T @ block[::stride] for block in blocks) * float(stride)
     value, vector = np.linalg.eigh(gram)
-    keep = value > negligible
-    vector = vector[:, keep]
-    return np.asarray(vector[:, -most:])
+    return np.asarray(vector[:, value > negligible][:, -most:])

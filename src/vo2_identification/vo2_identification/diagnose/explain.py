@@ -217,7 +217,8 @@ def _covariance(
     """Covariance of the coordinates, widened for misfit that is correlated over long stretches.
 
     The sandwich H^-1 S H^-1 with the scores summed over long blocks: what the model says where the residual is
-    noise, and what the scatter between blocks says where it is not.
+    noise, and what the scatter between blocks says where it is not. The scores are taken with what the base leaves
+    of the tangent: of the tangent itself, blocks would scatter by what cancels between them.
     """
     if not tangent.shape[1]:
         return np.zeros((0, 0))
@@ -226,7 +227,7 @@ def _covariance(
     scores = []
     for row, part, _ in evidence.iterate():
         edges = np.arange(blocks) * part.size // blocks
-        scores.append(np.add.reduceat(tangent[row.where] * remaining[row.where, None], edges, axis=0))
+        scores.append(np.add.reduceat(left[row.where] * remaining[row.where, None], edges, axis=0))
     # a block of time is one piece of evidence for all channels together
     summed: dict[int, Floats] = {}
     for (row, _, _), block in zip(evidence.iterate(), scores, strict=True):

@@ -18,6 +18,8 @@ __all__ = ["NoiseModel", "fit_noise", "level_from_differences"]
 Floats = NDArray[np.float64]
 LONGEST = 4
 """Highest autoregressive order considered [samples]."""
+LAGS = 300
+"""Samples after which noise is taken as forgotten."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +45,17 @@ class NoiseModel:
         response = lfilter([1.0], [1.0, *(-a for a in self.ar)], impulse)
         return self.innovation * float(np.sqrt(np.sum(response**2)))
 
-    @property
-    def thinning(self) -> float:
-        """How many neighbouring samples count as one for a slow signal: (1 / (1 - sum a))^2 e^2 / level^2."""
-        return (self.innovation / (max(1.0 - sum(self.ar), 0.02) * self.level)) ** 2
+    def variance_of_sums(self, length: int) -> Floats:
+        """Variance of the sum of 0, 1, ... `length` neighbouring samples (length + 1,): n g_0 + 2 sum (n - k) g_k."""
+        lags = min(length, LAGS)
+        impulse = np.zeros(2000)
+        impulse[0] = self.innovation
+        h = lfilter([1.0], [1.0, *(-a for a in self.ar)], impulse)
+        covariance = np.zeros(length + 1)
+        covariance[:lags] = [h[: h.size - k] @ h[k:] for k in range(lags)]
+        # second sum of the autocovariance
+        once = 2.0 * np.cumsum(covariance) - covariance[0]
+        return np.concatenate([[0.0], np.cumsum(once[:length])])
 
     def whiten(self, x: Floats) -> Floats:
         """Filter (n, ...) along the first axis to innovations of unit variance.

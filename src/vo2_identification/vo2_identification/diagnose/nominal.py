@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from vo2_models.device import DeviceModel, preset
-from vo2_models.device.coefficients import CHANNELS, Coefficient, Sensor, sensor_index
+from vo2_models.device.coefficients import CHANNELS, HUGE, Coefficient, Sensor, sensor_index
 from vo2_models.device.simulation import Simulation
 from vo2_models.fitting.digest import CalibrationDigest
 from vo2_models.fitting.enrichment import Correction, EnrichmentBasis
@@ -27,11 +27,13 @@ from vo2_models.recording import (
 from vo2_identification.diagnose.carry import carried
 from vo2_identification.diagnose.noise import NoiseModel
 
-__all__ = ["JUDGED_UNIT", "Nominal", "Response", "drive_of", "judged"]
+__all__ = ["JUDGED_UNIT", "Nominal", "Response", "basis_of", "drive_of", "judged", "span_of"]
 
 Floats = NDArray[np.float64]
 JUDGED_UNIT = {HEATER_CURRENT: "A", RESISTANCE: "log10 ohm", TIP_DEFLECTION: "m", STAGE_TEMPERATURE: "degC"}
 """Unit in which a channel is compared: resistance in decades, the others as they are."""
+FINE = 4
+"""Steps of a sample where it counts what happens in between."""
 THERMAL = {
     "driver.dead_time": Coefficient.DEAD_TIME,
     "thermal.ambient": Coefficient.AMBIENT,
@@ -155,29 +157,8 @@ class Nominal:
 
     @property
     def span(self) -> dict[str, float]:
-        """Range of each channel in judged units: what shares of range divide by."""
-        nominal = preset(self.device)
-        low, high = nominal.resistance_range
-        currents = nominal.operating_range
-        temperatures = [nominal.steady_temperature(i) for i in currents]
-        return {
-            HEATER_CURRENT: abs(currents[1] - currents[0]),
-            RESISTANCE: float(np.log10(high / low)),
-            TIP_DEFLECTION: nominal.deflection_range,
-            STAGE_TEMPERATURE: abs(temperatures[1] - temperatures[0]),
-        }
-
-    @property
-    def basis(self) -> EnrichmentBasis:
-        """Basis of the loop-shape correction, placed where the preset's domains are."""
-        nominal = preset(self.device)
-        heating, width = nominal.heating, nominal.width
-        cold, hot = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
-        return EnrichmentBasis(
-            typical_centre=(heating[0] - 0.5 * width[0], heating[1]),
-            typical_half_width=(0.5 * width[0], 0.5 * width[1]),
-            temperature_degc=(min(cold, nominal.ambient) - 5.0, hot + 10.0),
-        )
+        """Range of each channel in judged units."""
+        return span_of(self.device)
 
     def respond(
         self,
@@ -209,10 +190,14 @@ class Nominal:
         if settled:
             lead = int(np.ceil(10 * (c[Coefficient.TIME_CONSTANT] + c[Coefficient.DEAD_TIME]) / dt))
             current = np.concatenate([np.full(lead, current[0]), current])
+        fine = FINE if _between_samples(chain.coefficients) else 1
+        if fine > 1:
+            current, dt = np.repeat(current, fine), dt / fine
         # a candidate may drive the simulation out of anything physical: it must only look very wrong
         out = _bounded(chain.run(current, dt=dt))
         if self.corrections:
             out = _bounded(carried(chain, current, out, dt, self.corrections))
+        out = out[fine - 1 :: fine]
         film = out[:, 5].clip(-1e4, 1e4)
         found = {}
         for k, channel in enumerate(CHANNELS):
@@ -220,6 +205,38 @@ class Nominal:
                 continue
             found[channel] = np.log10(np.maximum(out[:, k], 1e-3)) if channel == RESISTANCE else out[:, k]
         return Response({k: v[lead:] for k, v in found.items()}, film[lead:])
+
+
+def _between_samples(c: Floats) -> bool:
+    """Whether what happens between two samples counts: a late or slow sensor sees it, a slow driver makes it."""
+    late = [sensor_index(channel, sensor) for channel in CHANNELS for sensor in (Sensor.LAG, Sensor.CLOCK)]
+    return bool(np.any(c[late] > 0.0) or c[Coefficient.SLEW] < HUGE)
+
+
+def basis_of(device: str) -> EnrichmentBasis:
+    """Basis of the loop-shape correction of a device, placed where its preset's domains are."""
+    nominal = preset(device)
+    heating, width = nominal.heating, nominal.width
+    cold, hot = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
+    return EnrichmentBasis(
+        typical_centre=(heating[0] - 0.5 * width[0], heating[1]),
+        typical_half_width=(0.5 * width[0], 0.5 * width[1]),
+        temperature_degc=(min(cold, nominal.ambient) - 5.0, hot + 10.0),
+    )
+
+
+def span_of(device: str) -> dict[str, float]:
+    """Range of each channel of a device in judged units: what shares of range divide by."""
+    nominal = preset(device)
+    low, high = nominal.resistance_range
+    currents = nominal.operating_range
+    temperatures = [nominal.steady_temperature(i) for i in currents]
+    return {
+        HEATER_CURRENT: abs(currents[1] - currents[0]),
+        RESISTANCE: float(np.log10(high / low)),
+        TIP_DEFLECTION: nominal.deflection_range,
+        STAGE_TEMPERATURE: abs(temperatures[1] - temperatures[0]),
+    }
 
 
 def _bounded(out: Floats) -> Floats:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vo2_models.parameters import Value
 from vo2_models.recording import Recording
 
+from vo2_identification.diagnose.base import loop_shapes
 from vo2_identification.diagnose.check import Finding, Unusable, check_recording
 from vo2_identification.diagnose.decide import HeldOut, Thresholds, block_folds, held_out
 from vo2_identification.diagnose.evidence import Evidence, gather
@@ -31,7 +32,7 @@ Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 SHORTLIST = 8
 """Hypotheses that are refitted in full."""
-QUIET = 1.8
+QUIET = 1.4
 """Residual power over noise power up to which a channel's residual is taken for its noise."""
 UNSEEN = 50.0
 """An effect whose typical size would change q by less than this is not excited."""
@@ -192,7 +193,9 @@ def _settled_thermal(nominal: Nominal, evidence: Evidence, clock: _Clock, *, rou
         shift = evidence.absorb(evidence.residual)[-count:] if count else np.zeros(0)
         if not count or float(np.max(np.abs(shift - evidence.origin))) < 0.7:
             break
-        moved = gather(nominal, evidence.parts, shift=shift, shapes=evidence.shapes, say=clock.say)
+        moved = gather(
+            nominal, evidence.parts, shift=shift, shapes=evidence.shapes, loops=evidence.loops, say=clock.say
+        )
         if moved.chi_square(moved.residual) >= evidence.chi_square(evidence.residual) - 10.0:
             break
         evidence = moved
@@ -205,8 +208,10 @@ def _recoloured(nominal: Nominal, evidence: Evidence, clock: _Clock) -> tuple[No
     A calibration is slow and its noise may have another colour; where an effect is in the channel its residual is
     no noise, and the calibration's stands.
     """
-    left = evidence.residual - evidence.base @ evidence.absorb(evidence.residual)
-    noise = dict(nominal.noise)
+    # a weight stands for misfit that is expected: what there is of it must not pass for a low noise
+    left = evidence.left(evidence.residual) / np.where(evidence.weight > 0, evidence.weight, 1.0)
+    before = nominal.noise
+    noise = dict(before)
     for channel in dict.fromkeys(row.channel for row in evidence.rows):
         rows = [row for row in evidence.rows if row.channel == channel]
         power = [float(np.mean(left[row.where][evidence.weight[row.where] > 0] ** 2)) for row in rows]
@@ -222,7 +227,14 @@ def _recoloured(nominal: Nominal, evidence: Evidence, clock: _Clock) -> tuple[No
     if noise == dict(nominal.noise):
         return nominal, evidence
     nominal = replace(nominal, noise=noise)
-    return nominal, gather(nominal, evidence.parts, shift=evidence.origin, say=clock.say)
+    # what a weight stands for is in the noise already where that was found in the recording
+    shapes = {
+        channel: shape if noise.get(channel) is before.get(channel) else replace(shape, rough=0.0)
+        for channel, shape in loop_shapes(nominal).items()
+    }
+    return nominal, gather(
+        nominal, evidence.parts, shift=evidence.origin, shapes=shapes, loops=evidence.loops, say=clock.say
+    )
 
 
 def _excess(evidence: Evidence, left: Floats, q: float) -> tuple[dict[str, float], float]:
@@ -337,7 +349,7 @@ def _trace(final: Evidence, chosen: Explanation) -> Floats:
     plain = replace(final, included={})
     without = plain.stack(plain.responses({}), final.nominal_responses)
     weights = final.absorb(final.residual - chosen.deviation)
-    return final.residual - without - final.base @ weights
+    return final.residual - without - final.base.times(weights)
 
 
 def _rival_pairs(
@@ -364,7 +376,12 @@ def _relinearised(base: Study, best: Explanation, clock: _Clock) -> tuple[Eviden
     """Build the problem about an explanation and fit it once more there."""
     clock.say("linearising about the explanation")
     final = gather(
-        base.nominal, base.evidence.parts, shift=best.shift, effects=best.effects, shapes=base.evidence.shapes
+        base.nominal,
+        base.evidence.parts,
+        shift=best.shift,
+        effects=best.effects,
+        shapes=base.evidence.shapes,
+        loops=base.evidence.loops,
     )
     again = fit_jointly(final, best.hypotheses, best.values, iterations=6, tick=clock.tick)
     # gains are told against the base alone, about the nominal simulation

@@ -100,7 +100,7 @@ def _residual_figure(study: Study) -> str:
 def _explained_residual(study: Study) -> Floats:
     if study.chosen is not None:
         residual = study.final.residual - study.chosen.deviation
-        return residual - study.final.base @ study.final.absorb(residual)
+        return study.final.left(residual)
     left = study.evidence.left(study.evidence.residual)
     return left - study.outside.prediction if study.outside is not None else left
 

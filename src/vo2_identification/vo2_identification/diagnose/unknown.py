@@ -86,7 +86,7 @@ def describe_unknown(
             before, after = before + energy - count, after + energy - count
             continue
         groups = {
-            name: (words, evidence.left_at(place, block))
+            name: (words, evidence.left_in(evidence.rows_of(channel), block))
             for name, (words, block) in _groups(evidence, own, residual).items()
         }
         chosen: list[tuple[str, str, float, float]] = []
@@ -187,7 +187,7 @@ def _felt_temperature(evidence: Evidence, rows: list[Row]) -> Floats | None:
     """Whitened change of the channel per kelvin of ambient temperature, along its recordings."""
     if "thermal.ambient" not in evidence.names:
         return None
-    column = evidence.base[:, evidence.names.index("thermal.ambient") - len(evidence.names)]
+    column = evidence.base.thermal[:, evidence.names.index("thermal.ambient")]
     place = np.concatenate([np.arange(row.where.start, row.where.stop) for row in rows])
     return np.asarray(column[place])
 

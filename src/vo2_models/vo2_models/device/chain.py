@@ -96,8 +96,13 @@ def _sense(c, channel, value, normal, time, period, sample, memory, line):
     at = _SENSORS + channel * PER_CHANNEL
     out = value
     if c[at + N.LAG] > 0.0:
-        memory[channel, 0] += -math.expm1(-period / c[at + N.LAG]) * (out - memory[channel, 0])
-        out = memory[channel, 0]
+        # exact for an input that moves linearly from sample to sample
+        taken = -math.expm1(-period / c[at + N.LAG])
+        behind = (memory[channel, 0] - memory[channel, 2]) * (1.0 - taken)
+        lagged = out - (out - memory[channel, 2]) * taken * c[at + N.LAG] / period + behind
+        memory[channel, 0] = lagged
+        memory[channel, 2] = out
+        out = lagged
     if c[at + N.CLOCK] > 0.0:
         line[channel, sample & _SENSOR_LINE] = out
         late = c[at + N.CLOCK] / period
@@ -169,6 +174,7 @@ def _compiled(version: str) -> Any:
             sensors[2, 0] = rest
             sensors[3, 0] = x[S.STAGE]
             for channel in range(4):
+                sensors[channel, 2] = sensors[channel, 0]
                 sensor_lines[channel, :] = sensors[channel, 0]
         whole = int(c[C.DEAD_TIME] / period)
         part = c[C.DEAD_TIME] - whole * period

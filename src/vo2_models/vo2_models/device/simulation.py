@@ -139,7 +139,7 @@ class Simulation:
             play_d=banks[1],
             metallic=np.zeros((2, self.levels.shape[2]), dtype=np.uint8),
             line=np.zeros(CURRENT_LINE),
-            sensors=np.zeros((len(CHANNELS), 2)),
+            sensors=np.zeros((len(CHANNELS), 3)),
             sensor_lines=np.zeros((len(CHANNELS), SENSOR_LINE)),
         )
 

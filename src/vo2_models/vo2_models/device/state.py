@@ -76,7 +76,7 @@ class ChainState:
     play_r, play_d : (1 + N,) memories of the two play banks (empty for the ensemble)
     metallic : (2, n) uint8, domains switched, metallic and structural (empty for the play banks)
     line : (CURRENT_LINE,) delay line of the current [A]
-    sensors : (4, 2) lag state and coloured noise of each sensor
+    sensors : (4, 3) lag state, coloured noise and last input of each sensor
     sensor_lines : (4, SENSOR_LINE)
     """
 
