@@ -28,32 +28,22 @@ class SafetySettings:
     safe_current_a : where the loop goes when it may not go on [A]
     hold_periods : sample periods for which the last current is held without good input
     reach_m : lowest and highest deflection that the device reaches [m]; references are clipped to it
-    resistance_ohm : plausible range; at or beyond an end the sensor is saturated
-    stuck_samples : identical resistances in a row that mean a stuck sensor, once the current has moved meanwhile;
-        add the dead time in samples, during which an ideal sensor rightly stands still
-    stuck_current_a : how far the current must have moved in that time [A]
     """
 
     sample_period_s: float
     safe_current_a: float = 0.0
     hold_periods: int = 3
     reach_m: tuple[float, float] = (-math.inf, math.inf)
-    resistance_ohm: tuple[float, float] = (0.0, math.inf)
-    stuck_samples: int = 3
-    stuck_current_a: float = 0.0
 
     def __post_init__(self) -> None:
         positive_number(self.sample_period_s, "sample_period_s")
         if not math.isfinite(self.safe_current_a):
             raise ValueError(f"safe_current_a: found {self.safe_current_a}, need a finite current")
-        if self.hold_periods < 0 or self.stuck_samples < 2:
-            raise ValueError(
-                f"hold_periods, stuck_samples: found {self.hold_periods}, {self.stuck_samples}, need at least 0 and 2"
-            )
-        for name in ("reach_m", "resistance_ohm"):
-            low, high = getattr(self, name)
-            if not low < high:
-                raise ValueError(f"{name}: found {low:g} to {high:g}, need lowest below highest")
+        if self.hold_periods < 0:
+            raise ValueError(f"hold_periods: found {self.hold_periods}, need at least 0")
+        low, high = self.reach_m
+        if not low < high:
+            raise ValueError(f"reach_m: found {low:g} to {high:g}, need lowest below highest")
 
 
 @dataclass(frozen=True)
@@ -79,9 +69,6 @@ class Supervisor:
         self._last_good_s = -math.inf
         self._mode: Mode = "idle"
         self._reason = "no estimate has arrived yet"
-        self._repeats = 0
-        self._repeated_ohm = math.nan
-        self._span = (math.inf, -math.inf)
 
     @property
     def current_a(self) -> float:
@@ -111,15 +98,10 @@ class Supervisor:
         self._controller = controller
 
     def sample(
-        self,
-        time_s: float,
-        reference_m: float,
-        estimate_m: float,
-        resistance_ohm: float | None = None,
-        feedforward_a: float = 0.0,
+        self, time_s: float, reference_m: float, estimate_m: float, feedforward_a: float = 0.0
     ) -> Decision:
-        """Answer one sample taken at `time_s` [s]; `resistance_ohm` lets the sensor be checked where it is known."""
-        fault = self._fault(reference_m, estimate_m, resistance_ohm)
+        """Answer one sample taken at `time_s` [s]."""
+        fault = self._fault(reference_m, estimate_m)
         if fault:
             return self._without_input(time_s, fault)
         reference = self.reachable(reference_m)
@@ -162,26 +144,10 @@ class Supervisor:
             self._reason = f"{fault}: safe current {self._current:.6g} A"
         return Decision(self._current, self._mode, self._reason)
 
-    def _fault(self, reference_m: float, estimate_m: float, resistance_ohm: float | None) -> str:
+    @staticmethod
+    def _fault(reference_m: float, estimate_m: float) -> str:
         if not math.isfinite(estimate_m):
             return f"estimate is {estimate_m}"
         if not math.isfinite(reference_m):
             return f"reference is {reference_m}"
-        if resistance_ohm is None:
-            return ""
-        low, high = self.settings.resistance_ohm
-        if not low < resistance_ohm < high:
-            return f"resistance sensor saturated at {resistance_ohm:.4g} ohm, outside {low:.4g} to {high:.4g} ohm"
-        return self._stuck(resistance_ohm)
-
-    def _stuck(self, resistance_ohm: float) -> str:
-        if resistance_ohm != self._repeated_ohm:
-            self._repeated_ohm, self._repeats = resistance_ohm, 1
-            self._span = (self._current, self._current)
-            return ""
-        self._repeats += 1
-        self._span = (min(self._span[0], self._current), max(self._span[1], self._current))
-        moved = self._span[1] - self._span[0] > self.settings.stuck_current_a
-        if self._repeats > self.settings.stuck_samples and moved:
-            return f"resistance sensor stuck at {resistance_ohm:.6g} ohm for {self._repeats} samples"
         return ""

@@ -98,3 +98,68 @@ def test_a_model_that_lacks_what_the_scheme_needs_is_refused_with_the_reason():
         with_model(rig.add(EstimatorNode))
         assert math.isnan(answer(rig, MS, {"film_resistance": 1e5})[0])
         rig.until(lambda: "model.resistance: found no law" in rig.status("estimator: model")[0])
+
+
+def test_a_stuck_sensor_gives_nan_until_the_reading_changes_and_is_told():
+    model = {**MODEL, "model.sensors.film_resistance.noise": 0.002}
+    with polynomial() as rig:
+        rig.hear("/vo2/estimate", CHANNELS)
+        with_model(rig.add(EstimatorNode), model)
+        readings = [1e5, 1e5 + 5.0, *[1e5] * 12, 9e4]
+        found = [
+            answer(rig, k * MS, {"film_resistance": r, "heater_current": 0.005 + 1e-5 * k})[0]
+            for k, r in enumerate(readings)
+        ]
+        finite = [math.isfinite(value) for value in found]
+        first = finite.index(False)
+        assert 8 <= first <= 11
+        assert finite == [True] * first + [False] * (14 - first) + [True]
+        rig.until(lambda: "stuck or saturated at 100000 ohm" in str([text for _, text, _ in rig.statuses]))
+        rig.until(lambda: "is back" in rig.status("estimator: input")[0])
+
+
+def test_a_reading_beyond_the_given_range_is_saturated_unless_the_check_is_off():
+    for off in (False, True):
+        with bench(["--ros-args", "-p", "kind:=polynomial", "-p", f"sensor.check:={str(not off).lower()}",
+                    "-p", "sensor.upper_ohm:=120000.0"]) as rig:  # fmt: skip
+            rig.hear("/vo2/estimate", CHANNELS)
+            with_model(rig.add(EstimatorNode))
+            assert math.isfinite(answer(rig, MS, {"film_resistance": 1e5, "heater_current": 0.005})[0])
+            found = answer(rig, 2 * MS, {"film_resistance": 1.2e5, "heater_current": 0.005})[0]
+            assert math.isfinite(found) == off
+
+
+def dynamic(frequency):
+    """A model with a composite law and a mode of this frequency, 0 for none."""
+    from vo2_models.device import truth
+    from vo2_models.excitation import damped_oscillation
+    from vo2_models.self_sensing import identify
+
+    share = damped_oscillation(np.linspace(0.0, 1.0, 13))
+    recording = truth("integrated", seed=1, domains=1500).simulate(
+        np.repeat(3.68e-3 + 4.81e-3 * share, 10), seed=1
+    )
+    mode = {"frequency": frequency, "damping": 0.02, "share": 1.0, "sample_period": 1e-3}
+    return {
+        **identify(recording, "integrated"),
+        **{f"model.self_sensing.mode.{name}": value if frequency else 0.0 for name, value in mode.items()},
+    }
+
+
+def test_unidentified_dynamics_are_told():
+    with bench(["--ros-args", "-p", "kind:=dynamic"]) as rig:
+        rig.hear("/vo2/estimate", CHANNELS)
+        with_model(rig.add(EstimatorNode), dynamic(0.0))
+        assert math.isfinite(answer(rig, MS, {"film_resistance": 1e5})[0])
+        rig.until(lambda: "dynamics unidentified" in rig.status("estimator: model")[0])
+
+
+def test_another_sample_period_than_that_of_the_dynamics_is_told_and_taken_back():
+    with bench(["--ros-args", "-p", "kind:=dynamic"]) as rig:
+        rig.hear("/vo2/estimate", CHANNELS)
+        with_model(rig.add(EstimatorNode), dynamic(150.0))
+        for k in range(12):
+            answer(rig, 2 * k * MS, {"film_resistance": 1e5 + k})
+        rig.until(lambda: "samples come every 0.002 s" in rig.status("estimator: period")[0])
+        answer(rig, 23 * MS, {"film_resistance": 1e5})
+        rig.until(lambda: "as the model" in rig.status("estimator: period")[0])

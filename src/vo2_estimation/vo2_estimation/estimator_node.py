@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from vo2_models.parameters import Parameter
-from vo2_models.recording import RESISTANCE
+from vo2_models.parameters import Parameter, Value
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE
 from vo2_plant_sim.interface.diagnostics import Diagnostics
 from vo2_plant_sim.interface.executable import run_nodes
 from vo2_plant_sim.interface.lockstep import StampOrder
@@ -24,6 +24,7 @@ from vo2_plant_sim.interface.topics import (
     SAMPLE_QOS,
 )
 
+from vo2_estimation.resistance_check import ResistanceCheck, sensor_limits
 from vo2_estimation.schemes import SCHEMES, Scheme, make_scheme
 
 __all__ = ["ESTIMATOR_PARAMETERS", "EstimatorNode", "main"]
@@ -38,9 +39,35 @@ ESTIMATOR_PARAMETERS = (
         choices=SCHEMES,
     ),
     Parameter("drive_channel", "heater_voltage", "", "Channel that kind drive takes as its input."),
+    Parameter(
+        "sensor.check",
+        True,
+        "",
+        "Whether a stuck, saturated or disconnected resistance sensor gives NaN, on which a loop goes safe.",
+    ),
+    Parameter(
+        "sensor.lower_ohm",
+        0.0,
+        "ohm",
+        "Lower end of the sensor's range; 0 for a tenth of the preset's.",
+        0.0,
+        1e15,
+    ),
+    Parameter(
+        "sensor.upper_ohm",
+        0.0,
+        "ohm",
+        "Upper end of the sensor's range; 0 for ten times the preset's.",
+        0.0,
+        1e15,
+    ),
 )
 _NAN = float("nan")
 _BEAT_SAMPLES = 1000
+_JITTER = 0.02
+"""Relative deviation of the sample period from the model's that counts as another period."""
+_OFF_PERIOD_SAMPLES = 10
+"""Samples in a row at another period before it is told: a single gap is no other rate."""
 _NO_MODEL = (
     "no model yet: every estimate is NaN; run the identifier (~/start), or load a file that it or fit wrote "
     "(ros2 param load, --params-file)"
@@ -65,7 +92,9 @@ class EstimatorNode(Node):
         self._revision = -1
         self._order = StampOrder()
         self._count = 0
-        self._reader = SampleReader((RESISTANCE,))
+        self._check: ResistanceCheck | None = None
+        self._off_period = 0
+        self._reader = SampleReader((RESISTANCE, HEATER_CURRENT))
         self._writer = SampleWriter(ESTIMATE_CHANNELS, preset)
         self._answer = b""
         self._publisher = self.create_publisher(JointState, ESTIMATE, SAMPLE_QOS)
@@ -74,14 +103,14 @@ class EstimatorNode(Node):
         self._rebuild()
 
     def _on_measurement(self, data: bytes) -> None:
-        stamp_ns, (value,) = self._reader.read(data)
+        stamp_ns, (value, current) = self._reader.read(data)
         if self._order.is_repeat(stamp_ns):
             self._publisher.publish(self._answer)
             return
         if self._table.revision != self._revision:
             self._rebuild(stamp_ns)
             # the scheme may want another channel
-            stamp_ns, (value,) = self._reader.read(data)
+            stamp_ns, (value, current) = self._reader.read(data)
         if self._order.jumped_back(stamp_ns):
             self._diagnostics.report(
                 "stamps",
@@ -91,14 +120,36 @@ class EstimatorNode(Node):
             )
             if self._scheme is not None:
                 self._scheme.restart()
+        if self._scheme is not None and self._scheme.period_s:
+            self._check_period(self._scheme.period_s, stamp_ns)
         self._order.accept(stamp_ns)
-        self._answer = self._writer.write(stamp_ns, self._estimate(stamp_ns, value))
+        self._answer = self._writer.write(stamp_ns, self._estimate(stamp_ns, value, current))
         self._publisher.publish(self._answer)
         self._count += 1
         if self._count % _BEAT_SAMPLES == 0:
             self._diagnostics.beat(stamp_ns)
 
-    def _estimate(self, stamp_ns: int, value: float) -> tuple[float, ...]:
+    def _check_period(self, period_s: float, stamp_ns: int) -> None:
+        """Tell when samples come at another period than the one the model's dynamics hold for."""
+        if self._order.last_ns is None:
+            return
+        found = (stamp_ns - self._order.last_ns) * 1e-9
+        if abs(found - period_s) <= _JITTER * period_s:
+            self._off_period = 0
+            if self._diagnostics.level("period") != "ok":
+                self._diagnostics.report("period", "ok", f"{period_s:g} s, as the model", stamp_ns=stamp_ns)
+            return
+        self._off_period += 1
+        if self._off_period == _OFF_PERIOD_SAMPLES:
+            self._diagnostics.report(
+                "period",
+                "warn",
+                f"samples come every {found:.4g} s, the dynamics of the model hold for {period_s:g} s: identify at this "
+                "rate, or choose kind composite",
+                stamp_ns=stamp_ns,
+            )
+
+    def _estimate(self, stamp_ns: int, value: float, current: float) -> tuple[float, ...]:
         scheme = self._scheme
         if scheme is None:
             return (_NAN,) * len(self._writer.channels)
@@ -115,6 +166,15 @@ class EstimatorNode(Node):
                 stamp_ns=stamp_ns,
             )
             return (_NAN,) * len(scheme.channels)
+        if self._check is not None and (fault := self._check.fault(stamp_ns * 1e-9, value, current)):
+            if self._diagnostics.level("input") == "ok":
+                self._diagnostics.report(
+                    "input",
+                    "error",
+                    f"{RESISTANCE} on {MEASUREMENT}: {fault}; the estimate is NaN until the reading changes",
+                    stamp_ns=stamp_ns,
+                )
+            return (_NAN,) * len(scheme.channels)
         if self._diagnostics.level("input") != "ok":
             self._diagnostics.report("input", "ok", f"{scheme.input_channel} is back", stamp_ns=stamp_ns)
         return scheme.step(value)
@@ -124,18 +184,34 @@ class EstimatorNode(Node):
         self._revision = self._table.revision
         given = self._table.given("model.")
         kind = self._table.text("kind")
-        self._scheme = None
+        self._scheme, self._check = None, None
         if not given:
             self._diagnostics.report("model", "warn", _NO_MODEL, stamp_ns=stamp_ns)
             return
         try:
             self._scheme = make_scheme(kind, self._table.text("drive_channel"), given)
+            self._check = self._make_check(given)
         except ValueError as error:
+            self._scheme = None
             self._diagnostics.report("model", "error", f"{error}; every estimate is NaN", stamp_ns=stamp_ns)
             return
-        self._reader = SampleReader((self._scheme.input_channel,))
+        self._reader = SampleReader((self._scheme.input_channel, HEATER_CURRENT))
         self._writer = SampleWriter(self._scheme.channels, self._table.text("preset"))
-        self._diagnostics.report("model", "ok", f"{kind} scheme at work", stamp_ns=stamp_ns)
+        note = self._scheme.note
+        self._diagnostics.report(
+            "model",
+            "warn" if note else "ok",
+            f"{kind} scheme at work{note and ': '}{note}",
+            stamp_ns=stamp_ns,
+        )
+
+    def _make_check(self, given: Mapping[str, Value]) -> ResistanceCheck | None:
+        """Return the check of the sensor, None where it is off or where the scheme does not use the resistance."""
+        table = self._table
+        if self._scheme is None or self._scheme.input_channel != RESISTANCE or not table.flag("sensor.check"):
+            return None
+        low, high = table.number("sensor.lower_ohm"), table.number("sensor.upper_ohm")
+        return ResistanceCheck(sensor_limits(table.text("preset"), given, lower_ohm=low, upper_ohm=high))
 
 
 def main(args: Sequence[str] | None = None) -> int:

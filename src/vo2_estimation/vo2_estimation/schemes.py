@@ -28,11 +28,15 @@ class Scheme(Protocol):
     input_channel : what it needs of the measurement
     need : which values of it are usable, in words
     channels : what it estimates
+    note : what it does without, in words; empty if nothing
+    period_s : sample period that its dynamics hold for [s]; 0 for a scheme without dynamics
     """
 
     input_channel: str
     need: str
     channels: tuple[str, ...]
+    note: str
+    period_s: float
 
     def usable(self, value: float) -> bool:
         """Whether the input can be used."""
@@ -56,6 +60,10 @@ class ResistanceScheme:
 
     def __init__(self, kind: str, parameters: Mapping[str, Value]) -> None:
         self._scheme = self_sensing(kind, parameters)
+        # only the scheme with dynamics has these; its module, with what it loads, stays where it is for the others
+        mode = getattr(self._scheme, "mode", None)
+        self.note: str = getattr(self._scheme, "note", "")
+        self.period_s: float = mode.period if mode is not None else 0.0
         self.restart()
 
     def restart(self) -> None:
@@ -82,6 +90,8 @@ class DriveScheme:
 
     need = "a finite number"
     channels: tuple[str, ...] = (TIP_DEFLECTION, RESISTANCE)
+    note = ""
+    period_s = 0.0
 
     def __init__(self, drive: str, parameters: Mapping[str, Value]) -> None:
         self.input_channel = drive
