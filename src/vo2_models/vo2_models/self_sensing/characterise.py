@@ -22,7 +22,7 @@ _BINS = 24
 
 
 def characterise(
-    recording: Recording, parameters: Mapping[str, Value], *, degree: int = 8, plays: int = 6, level: int = 20
+    recording: Recording, parameters: Mapping[str, Value], *, degree: int = 8, plays: int = 6, level: int = 30
 ) -> dict[str, Value]:
     """Return `model.self_sensing.*` parameters from the recording a model was fitted on.
 
@@ -32,7 +32,7 @@ def characterise(
     parameters : flat `model.*` parameters of the fitted laws
     degree : of the polynomial (section 7.3.1 uses 8, section 8.2 uses 9)
     plays : of the direct EGPI model (section 7.3.1 uses 6)
-    level : of the direct Preisach model (section 7.3.1 uses 10, whose cells are wider than the loop)
+    level : of the direct Preisach model (section 7.3.1 uses 10)
 
     Raises
     ------

@@ -1,6 +1,9 @@
 """Direct Preisach self-sensing, section 7.3.1: a monotone Preisach operator and a memoryless part.
 
-As the direct EGPI scheme, its loops are nested; the density is found by non-negative least squares.
+As the direct EGPI scheme, its loops are nested; the density is found by non-negative least squares. The loop of
+deflection against resistance is far narrower than the range of resistances: a uniform grid of level 6 to 10 has
+cells wider than the loop and is no better than a polynomial. So the walls stand half way between a uniform grid and
+one with equally many samples of the identification between them, fine where the resistance changes slowly.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.parameters import Value
 from vo2_models.preisach import PreisachOperator
-from vo2_models.preisach.grid import cell_count
+from vo2_models.preisach.grid import cell_areas, cell_count, pack
 from vo2_models.preisach.memory import PreisachState
 from vo2_models.preisach.nnls import nonnegative_least_squares
 from vo2_models.preisach.signed_area import signed_area_matrix
@@ -25,7 +28,7 @@ from vo2_models.self_sensing.scaled import COLD, HOT, domain_of, scaled, scaled_
 from vo2_models.self_sensing.scheme import SelfSensing
 from vo2_models.validation import finite_array, increasing
 
-__all__ = ["DirectPreisachSelfSensing"]
+__all__ = ["DirectPreisachSelfSensing", "walls_of"]
 
 Floats = NDArray[np.float64]
 
@@ -35,6 +38,12 @@ _TURNING_POINTS = 4096
 """Room for the memory; each needs 16 bytes. Noise of one level never nests so deep."""
 
 
+def walls_of(inputs: Floats, level: int) -> Floats:
+    """Return (L + 1,) walls from COLD to HOT, half way between even spacing and quantiles of the inputs (n,)."""
+    share = np.linspace(0.0, 1.0, level + 1)
+    return 0.5 * (COLD + (HOT - COLD) * share + np.quantile(inputs, share))
+
+
 @dataclass(frozen=True, eq=False)
 class DirectPreisachSelfSensing(SelfSensing):
     """Deflection [m] as a Preisach operator of the scaled -log10 of the resistance, plus a polynomial of it.
@@ -42,9 +51,10 @@ class DirectPreisachSelfSensing(SelfSensing):
     Parameters
     ----------
     domain : (2,) lowest and highest log10 of the resistance in ohm of the identification
-    weights : (L (L + 1) / 2,) packed integrals of the density over the cells of a uniform grid [m]
+    weights : (L (L + 1) / 2,) packed integrals of the density over the cells [m]
     coefficients : (degree + 1,) Chebyshev coefficients of the memoryless part over log10 R [m]
     table : [knots..., bounds...] over log10 R, from `bounds`
+    walls : (L + 1,) increasing walls of the cells over `scaled` resistance; None for a uniform grid
     """
 
     kind = "preisach"
@@ -53,6 +63,7 @@ class DirectPreisachSelfSensing(SelfSensing):
     weights: Floats
     coefficients: Floats
     table: Floats = field(default_factory=lambda: np.array([0.0, np.nan]), repr=False)
+    walls: Floats | None = None
     _operator: PreisachOperator = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -62,12 +73,15 @@ class DirectPreisachSelfSensing(SelfSensing):
         if level < 1 or cell_count(level) != weights.size:
             raise ValueError(f"weights: found {weights.size}, need L (L + 1) / 2 cells for some level L")
         walls = np.linspace(COLD, HOT, level + 1)
+        if self.walls is not None:
+            walls = increasing(finite_array(self.walls, "walls", size=level + 1), "walls")
         object.__setattr__(self, "domain", domain)
+        object.__setattr__(self, "walls", walls)
         object.__setattr__(self, "_operator", PreisachOperator.from_weights(walls, weights))
 
     @classmethod
     def fit(
-        cls, resistance: ArrayLike, deflection: ArrayLike, level: int = 20, degree: int = 4
+        cls, resistance: ArrayLike, deflection: ArrayLike, level: int = 30, degree: int = 4
     ) -> DirectPreisachSelfSensing:
         """Fit to samples (n,) in order of time, of resistance [ohm] and deflection [m], from a cold rest.
 
@@ -78,9 +92,10 @@ class DirectPreisachSelfSensing(SelfSensing):
         x = np.log10(finite_array(resistance, "resistance"))
         y = finite_array(deflection, "deflection", size=x.size)
         domain = domain_of(x)
-        walls = np.linspace(COLD, HOT, level + 1)
+        u = scaled(x, domain)
+        walls = walls_of(u, level)
         cells = cell_count(level)
-        area = signed_area_matrix(scaled(x, domain), walls, bias=False)
+        area = signed_area_matrix(u, walls, bias=False)
         covered = np.ptp(walls) ** 2 / level**2
         basis = np.polynomial.chebyshev.chebvander((2 * x - domain.sum()) / np.diff(domain), degree)
         scale = max(float(np.ptp(y)), 1e-300)
@@ -89,9 +104,7 @@ class DirectPreisachSelfSensing(SelfSensing):
         outputs = np.concatenate([y / scale, np.zeros(cells)])
         free = np.arange(cells + degree + 1) >= cells
         found = scale * nonnegative_least_squares(np.vstack([matrix, small]), outputs, free)
-        areas = np.full(cells, 1.0)
-        areas[[i * (i + 1) // 2 + i for i in range(level)]] = 0.5
-        return cls(domain, found[:cells] * areas, found[cells:])
+        return cls(domain, found[:cells] * pack(cell_areas(walls)) / covered, found[cells:], walls=walls)
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, Value]) -> DirectPreisachSelfSensing:
@@ -103,11 +116,13 @@ class DirectPreisachSelfSensing(SelfSensing):
             )
         names = ("domain", "weights", "coefficients")
         domain, weights, coefficients = (np.asarray(parameters[f"{head}.{name}"], float) for name in names)
-        return cls(domain, weights, coefficients, bound_table(cls.kind, parameters))
+        walls = np.asarray(parameters.get(f"{head}.walls", []), float)
+        table = bound_table(cls.kind, parameters)
+        return cls(domain, weights, coefficients, table, walls if walls.size else None)
 
     def to_parameters(self) -> dict[str, Value]:
         """Return the flat `model.self_sensing.preisach.*` parameters."""
-        names = ("domain", "weights", "coefficients")
+        names = ("domain", "walls", "weights", "coefficients")
         return {f"{SECTION}.preisach.{name}": getattr(self, name).tolist() for name in names}
 
     def initial_state(self) -> Floats:

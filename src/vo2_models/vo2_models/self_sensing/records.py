@@ -47,6 +47,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     *bank_parameters(f"{MODE}.deflection", "the deflection under the mode, over the temperature", "m"),
     *bank_parameters(f"{SECTION}.egpi", "the deflection over the scaled -log10 of the resistance", "m"),
     _array("preisach.domain", "1", f"{_DOMAIN} direct Preisach model was fitted on"),
+    _array("preisach.walls", "1", "walls of its cells over the scaled -log10 of the resistance"),
     _array("preisach.weights", "m", "weights of the cells of the direct Preisach model, row by row"),
     _array("preisach.coefficients", "m", "Chebyshev coefficients of its memoryless part, lowest first"),
 )
