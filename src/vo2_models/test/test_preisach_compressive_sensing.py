@@ -11,7 +11,7 @@ from vo2_models.preisach import PreisachOperator, signed_area_matrix
 from vo2_models.preisach.basis_pursuit import basis_pursuit
 from vo2_models.preisach.compressive_device_study import compressive_device_study
 from vo2_models.preisach.compressive_sensing import identify_compressed, identify_preisach_compressed
-from vo2_models.preisach.monte_carlo import PUBLISHED, compressive_sensing_study
+from vo2_models.preisach.monte_carlo import METHODS, MORE, PUBLISHED, compressive_sensing_study
 
 SEED = st.integers(0, 2**32 - 1)
 
@@ -94,6 +94,12 @@ def test_section_4_3_in_small():
     assert study.ratio("density", "CS Order Non-negative", "CS Order") < 1.0
     assert study.ratio("model", "Minimum norm") < 0.6
     assert study.ratio("density", "CS") > 1.0 > PUBLISHED["density"]["CS"]
+    assert study.ratio("density", "Least Squares, bias >= 0") == pytest.approx(1.0, abs=0.02)
+    assert study.gap < 1e-4
+    # no least-squares solution is as bad as the published baseline must have been
+    implied = study.errors["density"][:, METHODS.index("CS")] / PUBLISHED["density"]["CS"]
+    solutions = [k for k, name in enumerate(METHODS + MORE) if not name.startswith("CS")]
+    assert np.all(implied[:, None] > 2.0 * study.errors["density"][:, solutions])
     study, again = (compressive_sensing_study((10, 20), runs=2, level=7, seed=1) for _ in range(2))
     assert all(np.array_equal(again.errors[k], study.errors[k]) for k in study.errors)
 
