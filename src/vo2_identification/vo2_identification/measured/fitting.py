@@ -8,14 +8,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from vo2_models.device.model import DeviceModel, SensorModel
-from vo2_models.fitting.bank_fit import BankShape, fit_bank, starting_shape
+from vo2_models.fitting.bank_fit import BankShape, fit_bank, shape_rules, starting_shape
 from vo2_models.fitting.bank_fit import evaluate as evaluate_bank
 from vo2_models.fitting.grid import GriddedRecording
 from vo2_models.fitting.levenberg_marquardt import LeastSquares, levenberg_marquardt
 from vo2_models.fitting.loops_fit import COLD, film_path
 from vo2_models.fitting.noise import correlation_inflation
 from vo2_models.fitting.problem import Problem
-from vo2_models.recording import RESISTANCE
+from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
 from vo2_identification.measured.candidates import INSTANT, LAG, Candidate
 from vo2_identification.measured.cases import DEVICE, Case
@@ -23,8 +23,8 @@ from vo2_identification.measured.cases import DEVICE, Case
 __all__ = ["CandidateFit", "Setting", "fit_candidate", "fit_lag"]
 
 Floats = NDArray[np.float64]
-PRIOR = 1e-3
-"""Precision with which plays that the data say nothing about stay where they began."""
+DEGREE = {RESISTANCE: 1, TIP_DEFLECTION: 2}
+"""Of the polynomial beside the plays; a higher one swings between the recordings it was fitted to."""
 
 
 @dataclass(frozen=True)
@@ -143,9 +143,8 @@ def _loop(
     path = film_path(model, grids, setting.settled)
     values = _values(setting, grids)
     needed = _needed(path, np.isfinite(values))
-    start = starting_shape(
-        path[needed], values[needed], plays=setting.plays, degree=3 if setting.channel == RESISTANCE else 2
-    )
+    degree = DEGREE[setting.channel]
+    start = starting_shape(path[needed], values[needed], plays=setting.plays, degree=degree)
     fit = fit_bank(path[needed], values[needed], start, iterations=60)
     bank = fit.shape.bank()
     model = replace(model, **{_section(setting): bank})  # type: ignore[arg-type]
@@ -194,6 +193,10 @@ def _refit(
     inside = 1e-9  # exp(log(bound)) may lie a rounding outside of what the record allows
     lower = np.concatenate([[c.lower + inside for c in first.coordinates], beyond[0]])
     upper = np.concatenate([[c.upper - inside for c in first.coordinates], beyond[1]])
+    rules = shape_rules(setting.plays, loop, _values(setting, plain))
+    lower[:loop], upper[:loop] = rules.lower, rules.upper
+    # plays that the recordings say nothing about stay where they began, as in the fit of the loop alone
+    prior = np.concatenate([rules.prior / setting.level**2, np.zeros(lower.size - loop)])
     scales = np.array([*(c.scale for c in first.coordinates), *(e.scale for e in candidate.extra)])
 
     def at(theta: Floats) -> Problem:
@@ -220,8 +223,8 @@ def _refit(
         np.concatenate([first.start, outer]),
         lower=lower,
         upper=upper,
-        largest_step=100.0 * scales,
-        prior=PRIOR,
+        largest_step=np.concatenate([rules.largest, 100.0 * scales[loop:]]),
+        prior=prior,
         steps=setting.steps,
         tolerance=1e-4,
     )

@@ -97,7 +97,7 @@ def _summary(reports: Sequence[SetReport], missing: Sequence[str]) -> str:
     header = [
         "set", "rate independent", "one lag", "best effect of the catalogue", "best of all", "noise", "verdict",
     ]  # fmt: skip
-    caption = "Held-out error, r.m.s.; in brackets the share of the lag's excess that is removed there"
+    caption = "Held-out error, r.m.s.; in brackets the share that it removes of the excess of the better of the two simple models"
     sentences = [paragraph(f"{report.source.title}. {verdict(report.study)}") for report in reports]
     gone = [paragraph(f"Not there: {', '.join(missing)}.")] if missing else []
     return section("What was found", table(caption, header, rows), *sentences, *gone)
@@ -155,7 +155,9 @@ def _candidates(study: SetStudy) -> str:
         for judged in dict.fromkeys((study.chosen, study.best))
     ]
     return table(
-        "Errors r.m.s.; gain: share of the lag's excess removed on held-out data", header, rows
+        f"Errors r.m.s.; gain: share of the excess of {study.reference} removed on held-out data",
+        header,
+        rows,
     ) + "".join(equations)
 
 
@@ -193,6 +195,7 @@ def _entry(report: SetReport) -> dict[str, Any]:
         "unit": "log10 ohm" if scale_of(study) == 1.0 else "m",
         "noise": study.noise,
         "verdict": verdict(study),
+        "reference": study.reference,
         "named": study.chosen.candidate.id if study.named else None,
         "why_not": list(study.reasons),
         "rivals": list(study.rivals),

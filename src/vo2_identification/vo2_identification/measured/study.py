@@ -27,6 +27,7 @@ __all__ = ["Fold", "Judgement", "SetStudy", "study_set"]
 Floats = NDArray[np.float64]
 TRAINED_SHARE = 0.6
 """Part of a single recording that is fitted; the rest is predicted."""
+_SIMPLE = (RATE_INDEPENDENT.id, LAG.id)
 PROMISING = 3
 """Effects of the catalogue, the best on the first fold's training recordings, that are fitted in the other folds too."""
 
@@ -56,7 +57,7 @@ class Judgement:
     fits : one per fold, the first folds first
     training : root mean square on what was fitted
     held : root mean square on what was held out, all folds in which it was fitted [judged unit]
-    gain : share of the lag's excess that it removes on what was held out in the same folds
+    gain : share of the reference's excess that it removes on what was held out in the same folds
     """
 
     candidate: Candidate
@@ -81,6 +82,8 @@ class SetStudy:
     named : whether the held-out recordings bear it out
     reasons : why not, one sentence each
     rivals : ids that the held-out recordings do not separate from the chosen one
+    reference : id of the simpler model that gains are told against: the better one on held-out data of the rate
+        independent and the lag, so that no gain is over a model that only failed
     laws : for relaxations, which law each follows by itself
     """
 
@@ -93,6 +96,7 @@ class SetStudy:
     named: bool
     reasons: tuple[str, ...]
     rivals: tuple[str, ...]
+    reference: str
     laws: tuple[LawResult, ...] = field(default=())
 
     def of(self, name: str) -> Judgement:
@@ -142,17 +146,29 @@ def study_set(
             found = fit_candidate(setting, fold.train, candidate, tau)
             fits.setdefault(candidate.id, []).append(found)
     records = {c.id: c for c in (RATE_INDEPENDENT, LAG, *tried)}
-    judgements = [_judge(records[name], fits[name], fits[LAG.id], folds, noise) for name in records]
+    plainly = {name: _judge(records[name], fits[name], fits[name], folds, noise) for name in _SIMPLE}
+    reference = min(_SIMPLE, key=lambda name: plainly[name].held)
+    judgements = [_judge(records[name], fits[name], fits[reference], folds, noise) for name in records]
     head, rest = judgements[:2], sorted(judgements[2:], key=lambda j: j.held)
     complete = [j for j in rest if j.candidate.in_catalogue and len(j.fits) == len(folds)]
     chosen = min(complete, key=lambda j: j.training)
-    reasons = _doubts(chosen, head[1], rest, noise)
+    reasons = _doubts(chosen, rest)
     rivals = tuple(
         j.candidate.id for j in complete if j is not chosen and j.gain > 0.25 and j.held < 1.15 * chosen.held
     )
     laws = () if single else tuple(compare_laws(case) for case in cases)
     return SetStudy(
-        key, tuple(cases), folds, noise, (*head, *rest), chosen, not reasons, tuple(reasons), rivals, laws
+        key,
+        tuple(cases),
+        folds,
+        noise,
+        (*head, *rest),
+        chosen,
+        not reasons,
+        tuple(reasons),
+        rivals,
+        reference,
+        laws,
     )
 
 
@@ -222,18 +238,18 @@ def _promising(tried: Sequence[Candidate], fits: dict[str, list[CandidateFit]]) 
 def _judge(
     candidate: Candidate,
     fits: Sequence[CandidateFit],
-    lags: Sequence[CandidateFit],
+    references: Sequence[CandidateFit],
     folds: Sequence[Fold],
     noise: float,
 ) -> Judgement:
     own, base = [], []
-    for fit, lag, fold in zip(fits, lags, folds, strict=False):
+    for fit, simple, fold in zip(fits, references, folds, strict=False):
         for case in fold.held:
             own.append(_finite(fit.gap(case)))
-            base.append(_finite(lag.gap(case)))
-    squares, lag_squares = (np.concatenate(parts) ** 2 for parts in (own, base))
-    excess = float(np.sum(lag_squares) - lag_squares.size * noise**2)
-    gain = float(np.sum(lag_squares) - np.sum(squares)) / excess if excess > 0.0 else 0.0
+            base.append(_finite(simple.gap(case)))
+    squares, simple_squares = (np.concatenate(parts) ** 2 for parts in (own, base))
+    excess = float(np.sum(simple_squares) - simple_squares.size * noise**2)
+    gain = float(np.sum(simple_squares) - np.sum(squares)) / excess if excess > 0.0 else 0.0
     training = float(np.sqrt(np.mean([fit.rms**2 for fit in fits])))
     return Judgement(candidate, tuple(fits), training, float(np.sqrt(np.mean(squares))), gain)
 
@@ -242,7 +258,7 @@ def _finite(values: Floats) -> Floats:
     return values[np.isfinite(values)]
 
 
-def _doubts(chosen: Judgement, lag: Judgement, others: Sequence[Judgement], noise: float) -> list[str]:
+def _doubts(chosen: Judgement, others: Sequence[Judgement]) -> list[str]:
     """Why the chosen effect is not named; empty where it is."""
     limits = Thresholds()
     name = chosen.candidate.id

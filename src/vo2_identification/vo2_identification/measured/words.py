@@ -22,11 +22,11 @@ def scale_of(study: SetStudy) -> float:
 
 def verdict(study: SetStudy) -> str:
     """What was found in a set, in two sentences."""
-    lag, chosen, best = study.of("one_lag"), study.chosen, study.best
+    simple, chosen, best = study.of(study.reference), study.chosen, study.best
     scale, unit = scale_of(study), unit_of(study)
 
     def errors(judged: Judgement) -> str:
-        return f"{scale * lag.held:.3g} to {scale * judged.held:.3g} {unit} r.m.s."
+        return f"{scale * simple.held:.3g} ({simple.candidate.id}) to {scale * judged.held:.3g} {unit} r.m.s."
 
     name = chosen.candidate.id
     if study.named:
@@ -41,7 +41,7 @@ def verdict(study: SetStudy) -> str:
         )
     kind = "effect of the catalogue" if best.candidate.in_catalogue else "law from outside the catalogue"
     return (
-        f"{first} Best on held-out data is the {kind} {best.candidate.id}: {errors(best)}, "
+        f"{first} Best on held-out data is the {kind} {best.candidate.id}: from {errors(best)}, "
         f"{100 * best.gain:.0f} % of the excess."
     )
 
