@@ -1,6 +1,8 @@
 """The controller as a node: answers in lockstep, safe current on lost input, bumpless return, redesign."""
 
+import itertools
 import math
+import time
 
 import pytest
 from std_srvs.srv import Trigger
@@ -193,6 +195,38 @@ def test_a_set_point_out_of_reach_of_the_model_is_clipped_and_told(fitted_model)
         rig.until(lambda: f"{reach(ahead)[1] / UM:.2f} um" in rig.status("controller: reference")[0])
         command_of(rig, 2, 30 * UM, 30 * UM)
         rig.until(lambda: "reachable again" in rig.status("controller: reference")[0])
+
+
+def test_wall_time_goes_on_while_a_law_is_designed_and_takes_it_over(fitted_model):
+    with controller("time:=wall", "rate_hz:=10.0", "reference_hold:=true") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        node = rig.add(ControllerNode)
+        former = node._law
+        rig.say("/vo2/reference", 0, {"tip_deflection": 30 * UM})
+        assert node.set_parameters_atomically(ros_parameters(fitted_model)).successful
+        answer = node._on_redesign(Trigger.Request(), Trigger.Response())
+        assert answer.success and "beside the loop" in answer.message
+        answered_before, deadline = 0, time.monotonic() + 60.0
+        for k in itertools.count(1):
+            rig.say("/vo2/estimate", 100 * k * MS, estimate(30 * UM))
+            rig.until(lambda k=k: any(stamp == 100 * k * MS for stamp, _ in rig.heard["/vo2/command"]))
+            answered_before += node._law is former
+            if node._law is not former or time.monotonic() > deadline:
+                break
+        assert node._law is not former
+        # tuning takes a second of a processor, an answer a thousandth: samples did not wait for it
+        assert answered_before > 10
+        rig.until(lambda: "designed anew" in rig.status("controller: design")[0])
+
+
+def test_wall_time_a_design_that_is_refused_is_told(fitted_model):
+    with controller("time:=wall", "rate_hz:=100.0") as rig:
+        node = rig.add(ControllerNode)
+        node._table.set({"pid.kp": 1.0, "pid.ki": -1.0})
+        node._on_redesign(Trigger.Request(), Trigger.Response())
+        # no sample comes: the clock's ticks look for the outcome
+        rig.until(lambda: "need gains of one sign" in rig.status("controller: design")[0], 60.0)
+        assert "the former law stays" in rig.status("controller: design")[0]
 
 
 def test_reference_follows_measurement_stamps_and_starts_again_when_set_anew():

@@ -9,9 +9,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -38,17 +36,9 @@ from vo2_plant_sim.interface.topics import (
 )
 
 from vo2_control.controller import Controller
-from vo2_control.designs import (
-    CONTROLLER_KINDS,
-    CONTROLLER_PARAMETERS,
-    design_controller,
-    design_feedforward,
-    reach,
-)
+from vo2_control.designer import Design, Designer, Task, make_design
+from vo2_control.designs import CONTROLLER_KINDS, CONTROLLER_PARAMETERS
 from vo2_control.safe import SafetySettings, Supervisor
-
-if TYPE_CHECKING:
-    from vo2_control.feedforward import InverseFeedforward
 
 __all__ = ["CONTROLLER_NODE_PARAMETERS", "ControllerNode", "main"]
 
@@ -78,16 +68,6 @@ _NAN = float("nan")
 _SETTLE_CONSTANTS = 5.0
 
 
-@dataclass(frozen=True)
-class _Design:
-    """What parameters lead to: a law, the inverse of the model if there is one, its reach [m], why there is none."""
-
-    law: Controller
-    ahead: InverseFeedforward | None
-    reach_m: tuple[float, float]
-    without: str
-
-
 class ControllerNode(Node):
     """Parameters in, estimates and set-points in, one call of the law, currents out."""
 
@@ -99,11 +79,12 @@ class ControllerNode(Node):
         self._period_s = 1.0 / (self._table.number("rate_hz") or self._point.rate_hz)
         self._wall = self._table.text("time") == "wall"
         self._diagnostics = Diagnostics(self, hardware_id=self._table.text("preset"))
-        design = self._design()
+        design = make_design(self._task())
+        # in wall time what changes later is designed beside the loop, in lockstep time waits for it
+        self._designer = Designer() if self._wall else None
         self._law, self._ahead = design.law, design.ahead
         self._pending: Controller | None = None
         self._tell_feedforward(design)
-        self._revision = self._table.revision
         self._settings = SafetySettings(
             self._period_s, safe_current_a=SAFE_CURRENT_A, hold_periods=HOLD_SAMPLES, reach_m=design.reach_m
         )
@@ -113,8 +94,6 @@ class ControllerNode(Node):
         self._estimate: tuple[int, tuple[float, ...]] | None = None
         self._answer = b""
         self._inputs_since_tick = 0
-        self._designer: ThreadPoolExecutor | None = None
-        self._designing: Future[_Design] | None = None
         self._estimate_reader = SampleReader(ESTIMATE_CHANNELS)
         self._reference_reader = SampleReader(REFERENCE_CHANNELS)
         self._writer = SampleWriter(COMMAND_CHANNELS, self._table.text("preset"))
@@ -130,6 +109,8 @@ class ControllerNode(Node):
         """Leave the device at the safe current (wall time; in lockstep no time passes without us)."""
         if self._wall and self._table.flag("enabled") and self._order.last_ns is not None:
             self._publish(self._order.last_ns, SAFE_CURRENT_A)
+        if self._designer is not None:
+            self._designer.close()
 
     def _on_reference(self, data: bytes) -> None:
         stamp_ns, (value,) = self._reference_reader.read(data)
@@ -217,6 +198,7 @@ class ControllerNode(Node):
 
     def _on_tick(self) -> None:
         """Wall time: a period without an answered estimate is a missed input."""
+        self._take_over_designed()
         last_ns = self._order.last_ns
         if last_ns is None or not self._table.flag("enabled"):
             return
@@ -225,49 +207,42 @@ class ControllerNode(Node):
             self._miss(last_ns + round(self._period_s * 1e9), f"nothing on {waiting}: is its node running?")
         self._inputs_since_tick = 0
 
-    def _design(self) -> _Design:
-        table, values = self._table, self._table.given()
-        preset = table.text("preset")
-        law = design_controller(
-            table.text("kind"), preset=preset, sample_period_s=self._period_s, values=values
-        )
-        ahead, reach_m, without = None, (-math.inf, math.inf), ""
-        if values.get("model.device") or table.flag("feedforward"):
-            try:
-                ahead = design_feedforward(preset=preset, sample_period_s=self._period_s, values=values)
-                reach_m = reach(ahead)
-            except ValueError as error:
-                without = str(error)
-        return _Design(law, ahead if table.flag("feedforward") else None, reach_m, without)
+    def _task(self) -> Task:
+        """Return what the present parameters ask for."""
+        table = self._table
+        self._revision = table.revision
+        preset, ahead = table.text("preset"), table.flag("feedforward")
+        return Task(table.text("kind"), preset, self._period_s, table.given(), ahead)
 
-    def _rebuild(self) -> None:
-        """Take over changed parameters; a law that cannot be designed leaves the present one at work.
+    def _rebuild(self) -> str:
+        """Take over changed parameters; return why not, empty if nothing is against it.
 
-        Tuning for a model takes seconds. In lockstep time waits for it; in wall time it is done beside the
-        loop, which goes on with the former law.
+        A law that cannot be designed leaves the present one at work, and so does one that is still being designed
+        beside the loop.
         """
-        self._revision = self._table.revision
-        if self._wall:
-            if self._designer is None:
-                self._designer = ThreadPoolExecutor(1)
-            self._designing = self._designer.submit(self._design)
-            return
+        task = self._task()
+        if self._designer is not None:
+            self._designer.ask(task)
+            return ""
         try:
-            self._take_over(self._design())
+            self._take_over(make_design(task))
         except ValueError as error:
-            self._refuse(error)
+            return self._refuse(error)
+        return ""
 
     def _take_over_designed(self) -> None:
         """Wall time: use the law that was designed beside the loop, once it is ready."""
-        if self._designing is None or not self._designing.done():
+        if self._designer is None or not self._designer.busy:
             return
-        designing, self._designing = self._designing, None
         try:
-            self._take_over(designing.result())
+            design = self._designer.answer()
         except ValueError as error:
             self._refuse(error)
+            return
+        if design is not None:
+            self._take_over(design)
 
-    def _take_over(self, design: _Design) -> None:
+    def _take_over(self, design: Design) -> None:
         """Start with the design at the next sample, from the current that flows then."""
         self._pending, self._ahead = design.law, design.ahead
         self._settings = replace(self._settings, reach_m=design.reach_m)
@@ -275,7 +250,7 @@ class ControllerNode(Node):
         self._diagnostics.report("design", "ok", f"{self._table.text('kind')} designed anew")
         self._tell_feedforward(design)
 
-    def _tell_feedforward(self, design: _Design) -> None:
+    def _tell_feedforward(self, design: Design) -> None:
         if self._table.flag("feedforward") and design.ahead is None:
             self._diagnostics.report("feedforward", "error", f"{design.without}; feedback alone until then")
         elif self._diagnostics.level("feedforward") != "ok" or design.ahead is not None:
@@ -289,14 +264,13 @@ class ControllerNode(Node):
         return why
 
     def _on_redesign(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._revision = self._table.revision
-        try:
-            self._take_over(self._design())
-        except ValueError as error:
-            response.message = self._refuse(error)
-            return response
-        response.success = True
-        response.message = f"{self._table.text('kind')} designed from the present parameters"
+        refused = self._rebuild()
+        response.success = not refused
+        kind = self._table.text("kind")
+        beside = f"{kind} is designed beside the loop; the outcome comes on /diagnostics"
+        response.message = refused or (
+            beside if self._wall else f"{kind} designed from the present parameters"
+        )
         return response
 
 
