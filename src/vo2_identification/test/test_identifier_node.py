@@ -211,6 +211,29 @@ def model_file(tmp_path_factory):
     return path
 
 
+def test_a_running_diagnosis_can_be_cancelled_and_started_again(model_file):
+    current = informative_excitation("integrated", 0.6, 1e-3, seed=4).sample(1e-3)
+    ros = [
+        *arguments(excitation__kind="listen", fit="false", quiet_s="0.3"),
+        "--params-file",
+        str(model_file),
+    ]
+    with bench(ros) as rig:
+        node = listened(rig, played(current, 3))
+        assert trigger(rig, "diagnose").success
+        job = node._diagnosis
+        answer = trigger(rig, "cancel")
+        assert answer.success
+        assert answer.message == "cancelled while diagnosing"
+        rig.until(lambda: diagnosis(rig)[1].get("state") == "cancelled")
+        assert state(rig) == "done"
+        # the thread ends at its next step, without an answer
+        rig.until(lambda: not job.running, timeout_s=120.0)
+        assert job.answer is None
+        assert not trigger(rig, "cancel").success
+        assert trigger(rig, "diagnose").success
+
+
 @pytest.mark.slow
 def test_a_concealed_effect_is_named_on_diagnostics(model_file):
     current = informative_excitation("integrated", 4.0, 1e-3, seed=4).sample(1e-3)

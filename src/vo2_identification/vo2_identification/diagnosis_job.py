@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 __all__ = ["DiagnosisJob", "summary_values"]
 
 
+class _CancelledError(Exception):
+    """Nobody wants the answer any more."""
+
+
 @dataclass
 class DiagnosisJob:
     """One recording against one model.
@@ -36,6 +40,7 @@ class DiagnosisJob:
     answer: Diagnosis | None = None
     error: str = ""
     _thread: threading.Thread = field(init=False)
+    _cancelled: bool = False
 
     def __post_init__(self) -> None:
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -46,12 +51,18 @@ class DiagnosisJob:
         """Whether it is still at work."""
         return self._thread.is_alive()
 
+    def cancel(self) -> None:
+        """Give up; the thread ends at its next step, and there will be no answer."""
+        self._cancelled = True
+
     def _run(self) -> None:
         try:
             # the compiler and the simulation load only now
             from vo2_identification.diagnose.pipeline import diagnose
 
             self.answer = diagnose([self.recording], self.parameters, progress=self._note)
+        except _CancelledError:
+            self.error = "cancelled"
         except ValueError as error:
             self.error = f"the recording cannot be diagnosed: {' '.join(str(error).split())}"
         except Exception as error:  # a thread has nobody above it: what it dies of must reach the operator
@@ -59,6 +70,8 @@ class DiagnosisJob:
             self.error = f"the diagnosis broke down: {error!r}; the log has the traceback"
 
     def _note(self, share: float, text: str) -> None:
+        if self._cancelled:
+            raise _CancelledError
         self.share, self.text = share, text
 
 

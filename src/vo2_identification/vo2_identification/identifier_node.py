@@ -163,11 +163,18 @@ class IdentifierNode(Node):
         return response
 
     def _on_cancel(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = self._state in ("exciting", "listening", "fitting", "publishing")
+        working = self._state in ("exciting", "listening", "fitting", "publishing")
+        ended = [self._state] if working else []
+        if self._diagnosis is not None:
+            ended.append("diagnosing")
+            self._diagnosis.cancel()
+            self._diagnosis = None
+            self._tell_diagnosis("cancelled", "cancelled")
+        response.success = bool(ended)
         response.message = (
-            f"cancelled while {self._state}" if response.success else f"nothing to cancel ({self._state})"
+            f"cancelled while {' and '.join(ended)}" if ended else f"nothing to cancel ({self._state})"
         )
-        if response.success:
+        if working:
             self._fit = None
             self._pending.clear()
             self._tell("cancelled", response.message)
