@@ -19,6 +19,8 @@ from vo2_models.self_sensing import (
     self_sensing,
 )
 from vo2_models.self_sensing.bounds import COVERAGE, fit_bound, table_at
+from vo2_models.self_sensing.composite_fit import PLAYS as PLAYS_OWN
+from vo2_models.self_sensing.composite_fit import composite_parameters
 from vo2_models.self_sensing.polynomial import polynomial_step
 
 PLAYS = np.array([0.05, 0.3, 0.6])
@@ -128,8 +130,13 @@ def test_bound_covers_the_share_it_promises_on_fresh_errors():
 def test_bound_is_large_where_the_laws_are_not_those_of_the_device():
     """Laws that belong to another device must not come with a small bound."""
     current = np.concatenate([np.linspace(3.7e-3, 8.4e-3, 800), np.linspace(8.4e-3, 3.7e-3, 800)])
-    recording = truth("integrated", seed=3).simulate(current, seed=3)
+    played = truth("integrated", seed=3).simulate(current, seed=3)
+    # without the current the composite scheme has no laws of its own and keeps those given
+    recording = Recording(
+        played.time_s, {name: played[name] for name in (RESISTANCE, TIP_DEFLECTION)}, "integrated"
+    )
     found = characterise(recording, laws())
+    assert found["model.self_sensing.composite.resistance.weights"] == []
     foreign = np.max(found["model.self_sensing.bounds.composite"])
     assert foreign > 2e-6
     assert np.max(found["model.self_sensing.bounds.polynomial"]) < foreign
@@ -204,3 +211,33 @@ def test_identification_uses_the_channels_there_are():
     parameters = identify(film, "integrated")
     assert parameters["model.resistance.weights"]
     assert not any(name.startswith(("model.deflection", "model.self_sensing")) for name in parameters)
+
+
+def test_laws_of_its_own_make_the_composite_scheme_better_between_the_levels_of_the_recording():
+    """Minor loops inside the transition, which the damped oscillation does not play."""
+    device = truth("integrated", seed=900005)
+    recorded = device.simulate(identification_current(), seed=5)
+    names = ("heater_current", RESISTANCE, TIP_DEFLECTION)
+    given = Recording(recorded.time_s, {name: recorded[name] for name in names}, "integrated")
+    parameters = identify(given, "integrated")
+    assert len(parameters["model.self_sensing.composite.deflection.weights"]) == PLAYS_OWN
+    own = {name: v for name, v in parameters.items() if not name.startswith("model.self_sensing.composite")}
+    inside = np.repeat(random_levels(5.6e-3, 6.6e-3, 200, seed=1), 10)
+    test = device.simulate(np.concatenate([np.full(30, 3.68e-3), inside]), noise=False)
+    error = []
+    for known in (parameters, own):
+        found, _ = self_sensing("composite", known).estimate(test[RESISTANCE])
+        error.append(np.mean(np.abs(found.deflection - test["true_tip_deflection"])[200:]) / 57.03e-6)
+    assert error[0] < error[1]
+    assert error[0] < 0.005
+
+
+def test_a_law_given_by_hand_and_a_recording_too_short_keep_the_laws_of_the_model():
+    recorded = truth("integrated", seed=1).simulate(identification_current(), seed=1)
+    banks = ("resistance.weights", "deflection.weights")
+    by_hand = composite_parameters(recorded, laws())
+    assert all(by_hand[f"model.self_sensing.composite.{name}"] == [] for name in banks)
+    fitted = identify(recorded, "integrated")
+    short = Recording(recorded.time_s[:300], {k: v[:300] for k, v in recorded.channels.items()}, "integrated")
+    kept = composite_parameters(short, fitted)
+    assert all(kept[f"model.self_sensing.composite.{name}"] == [] for name in banks)

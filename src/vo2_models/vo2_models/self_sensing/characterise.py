@@ -9,6 +9,7 @@ import numpy as np
 from vo2_models.parameters import Value
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
 from vo2_models.self_sensing.bounds import fit_bound
+from vo2_models.self_sensing.composite_fit import PLAYS, composite_parameters
 from vo2_models.self_sensing.direct_egpi import DirectEGPISelfSensing
 from vo2_models.self_sensing.direct_preisach import DirectPreisachSelfSensing
 from vo2_models.self_sensing.dynamic import mode_parameters
@@ -22,7 +23,13 @@ _BINS = 24
 
 
 def characterise(
-    recording: Recording, parameters: Mapping[str, Value], *, degree: int = 8, plays: int = 6, level: int = 30
+    recording: Recording,
+    parameters: Mapping[str, Value],
+    *,
+    degree: int = 8,
+    plays: int = 6,
+    level: int = 30,
+    composite_plays: int = PLAYS,
 ) -> dict[str, Value]:
     """Return `model.self_sensing.*` parameters from the recording a model was fitted on.
 
@@ -33,6 +40,7 @@ def characterise(
     degree : of the polynomial (section 7.3.1 uses 8, section 8.2 uses 9)
     plays : of the direct EGPI model (section 7.3.1 uses 6)
     level : of the direct Preisach model (section 7.3.1 uses 10)
+    composite_plays : of each law of the composite scheme (section 7.3.1 uses 6)
 
     Raises
     ------
@@ -52,6 +60,7 @@ def characterise(
         **DirectEGPISelfSensing.fit(resistance, deflection, plays).to_parameters(),
         **DirectPreisachSelfSensing.fit(resistance, deflection, level).to_parameters(),
     }
+    found |= composite_parameters(recording, parameters, composite_plays)
     found |= mode_parameters(
         recording.time_s if whole else None, resistance, deflection, {**parameters, **found}
     )

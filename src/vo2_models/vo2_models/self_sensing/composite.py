@@ -23,6 +23,7 @@ from vo2_models.hysteresis.inverse_kernels import invert_update
 from vo2_models.hysteresis.kernels import egpi_step
 from vo2_models.parameters import Value
 from vo2_models.self_sensing.bounds import bound_table, table_at
+from vo2_models.self_sensing.records import COMPOSITE
 from vo2_models.self_sensing.scheme import SelfSensing
 
 __all__ = ["CompositeSelfSensing"]
@@ -85,8 +86,12 @@ class CompositeSelfSensing(SelfSensing):
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, Value]) -> CompositeSelfSensing:
-        resistance = PlayBank.from_parameters("model.resistance", parameters)
-        deflection = PlayBank.from_parameters("model.deflection", parameters)
+        resistance, deflection = (
+            own
+            if (own := PlayBank.from_parameters(f"{COMPOSITE}.{law}", parameters)).present
+            else PlayBank.from_parameters(f"model.{law}", parameters)
+            for law in ("resistance", "deflection")
+        )
         for bank, what in ((resistance, "model.resistance"), (deflection, "model.deflection")):
             if not bank.present:
                 raise ValueError(

@@ -21,7 +21,7 @@ from vo2_models.parameters import Value
 from vo2_models.self_sensing.bounds import bound_table
 from vo2_models.self_sensing.composite import CompositeSelfSensing
 from vo2_models.self_sensing.mode_fit import ModeFit, fit_law_through_mode, fit_mode
-from vo2_models.self_sensing.records import MODE
+from vo2_models.self_sensing.records import COMPOSITE, MODE
 from vo2_models.self_sensing.scheme import SelfSensing
 
 __all__ = ["DynamicSelfSensing", "mode_parameters"]
@@ -90,7 +90,7 @@ class DynamicSelfSensing(SelfSensing):
                 f"{0.5 / period:g} Hz"
             )
         law = PlayBank.from_parameters(f"{MODE}.deflection", parameters)
-        own = law.to_parameters("model.deflection") if law.present else {}
+        own = law.to_parameters(f"{COMPOSITE}.deflection") if law.present else {}
         plain = CompositeSelfSensing.from_parameters({**parameters, **own})
         static = CompositeSelfSensing(
             plain.device, plain.resistance, plain.deflection, bound_table(cls.kind, parameters)

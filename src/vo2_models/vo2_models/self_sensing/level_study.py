@@ -53,7 +53,9 @@ def level_errors(
     names = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)
     given = Recording(recorded.time_s, {name: recorded[name] for name in names}, DEVICE)
     parameters = fit_device([given], DEVICE, plays=level).model.to_parameters()
-    parameters |= characterise(given, parameters, degree=level, plays=level, level=level)
+    parameters |= characterise(
+        given, parameters, degree=level, plays=level, level=level, composite_plays=level
+    )
     sequence = np.repeat(random_levels(low, high, count, seed=seed), 10)
     test = device.simulate(np.concatenate([np.full(30, low), sequence]), seed=seed + 1)
     found = {}

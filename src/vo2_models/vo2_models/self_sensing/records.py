@@ -5,11 +5,12 @@ from __future__ import annotations
 from vo2_models.device.bank import bank_parameters
 from vo2_models.parameters import Parameter
 
-__all__ = ["BOUND_KNOTS", "KINDS", "MODE", "PARAMETERS", "SECTION"]
+__all__ = ["BOUND_KNOTS", "COMPOSITE", "KINDS", "MODE", "PARAMETERS", "SECTION"]
 
 KINDS = ("composite", "egpi", "preisach", "polynomial", "dynamic")
 """Schemes by name, the recommended one first."""
 SECTION = "model.self_sensing"
+COMPOSITE = f"{SECTION}.composite"
 MODE = f"{SECTION}.mode"
 BOUND_KNOTS = f"{SECTION}.bounds.log10_resistance"
 
@@ -45,6 +46,10 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(f"{MODE}.sample_period", 0.0, "s", "period at which the dynamic scheme is fed", 0.0),
     Parameter(f"{MODE}.note", "", "", "why no mode was identified; empty with one"),
     *bank_parameters(f"{MODE}.deflection", "the deflection under the mode, over the temperature", "m"),
+    *bank_parameters(
+        f"{COMPOSITE}.resistance", "the composite scheme's own law of -log10 R over the temperature", "1"
+    ),
+    *bank_parameters(f"{COMPOSITE}.deflection", "its own law of the deflection over the temperature", "m"),
     *bank_parameters(f"{SECTION}.egpi", "the deflection over the scaled -log10 of the resistance", "m"),
     _array("preisach.domain", "1", f"{_DOMAIN} direct Preisach model was fitted on"),
     _array("preisach.walls", "1", "walls of its cells over the scaled -log10 of the resistance"),
