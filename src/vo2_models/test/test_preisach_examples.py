@@ -12,7 +12,15 @@ MODULES = [
     "preisach.signed_area",
     "preisach.inverse",
     "preisach.beam",
+    "preisach.compression",
     "preisach.compressive_sensing",
+    "preisach.everett_rows",
+    "preisach.least_squares",
+    "preisach.memory",
+    "preisach.nonmonotonic",
+    "preisach.nonmonotonic_inverse",
+    "preisach.polynomial",
+    "preisach.smooth_fit",
 ]
 
 

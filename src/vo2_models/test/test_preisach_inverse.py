@@ -134,6 +134,26 @@ def test_nonmonotonic_model_is_equation_5_7_plus_preisach():
     assert linear(temperature) == pytest.approx(operator(temperature) - 3.0 * temperature)
 
 
+@settings(deadline=None)  # the first call compiles
+@given(seed=SEED, level=st.integers(1, 12))
+def test_nonmonotonic_batch_streaming_devices_and_rate_agree(seed, level):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng, level)
+    low, high = model.operator.walls[[0, -1]]
+    t = rng.uniform(low - 3.0, high + 3.0, (3, 30))
+    batch = model(t)
+    state = model.operator.saturated(devices=3)
+    streamed = np.stack([model.update_devices(column, state) for column in t.T], axis=1)
+    one = model.operator.saturated()
+    assert [model.update(x, one) for x in t[0]] == pytest.approx(batch[0].tolist(), rel=1e-13, abs=1e-9)
+    assert np.array_equal(streamed, batch)
+    assert np.array_equal(model(np.repeat(t[0], 3))[::3], batch[0])
+    # wiping-out: an excursion inside the last pair of extremes leaves no trace
+    inside, end = rng.uniform(low, high, 5), model.operator.memory(t[0])
+    model.run(np.concatenate([inside, [low - 3.0]]), end)
+    assert end == model.operator.memory([low - 3.0])
+
+
 def test_nonmonotonic_fit_recovers_its_own_parameters_and_beats_the_polynomial():
     rng = np.random.default_rng(2)
     walls = np.linspace(30.0, 70.0, 9)

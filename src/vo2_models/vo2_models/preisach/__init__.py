@@ -4,7 +4,8 @@
   `kernels` holds the compiled step, for other compiled loops
 - `inverse`: the exact inverse of a monotone operator
 - `nonmonotonic`, `nonmonotonic_inverse`, `beam`, `polynomial`: chapter 5
-- `signed_area`, `damped`, `least_squares`, `nnls`, `smooth_fit`: identification
+- `signed_area`, `damped`, `everett_rows`, `least_squares`, `nnls`, `interior_point`, `smooth_fit`: identification, at any
+  level, of densities that are not negative or of either sign
 - `compressive_sensing`, `basis_pursuit`: identification from few measurements, chapter 4
 - `compression`: coarser grids with least loss of information, chapter 2
 - `monte_carlo`, `compressive_device_study`, `compression_study`, `nonmonotonic_study`, `measured_study`: the

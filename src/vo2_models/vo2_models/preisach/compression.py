@@ -161,6 +161,14 @@ def compress(operator: PreisachOperator, level: int, criterion: Criterion = "kl"
     Raises
     ------
     ValueError : `level` out of range, a negative density, an unknown criterion.
+
+    Examples
+    --------
+    >>> density = np.zeros((6, 6))
+    >>> density[np.tril_indices(6)] = 1.0
+    >>> density[4:, 2:4] = 9.0
+    >>> compress(PreisachOperator(np.arange(7.0), density), 3, "sum").operator.walls.tolist()
+    [0.0, 2.0, 4.0, 6.0]
     """
     mass, area = _checked(operator, level, criterion)
     loss, entropy = _loss_tables(mass, area)

@@ -82,6 +82,15 @@ def fit_preisach(
     ------
     ValueError : not finite, shapes differ, or too little excitation: fewer samples than unknowns, cells that
         never switch, or unknowns that the input does not tell apart.
+
+    Examples
+    --------
+    >>> walls = np.linspace(0.0, 1.0, 9)
+    >>> truth = PreisachOperator(walls, np.arange(1.0, 37.0), bias=-2.0)
+    >>> v = np.append(damped_oscillation(walls), [1.2, 0.3])
+    >>> fit = fit_preisach(v, truth(v) - 5.0 * v, walls, linear=True)
+    >>> round(fit.slope, 6), bool(np.max(np.abs(fit.operator.density - truth.density)) < 1e-6)
+    (-5.0, True)
     """
     checked = checked_walls(walls)
     inputs = finite_array(v, "v")

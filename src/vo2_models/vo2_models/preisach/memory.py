@@ -21,6 +21,17 @@ class PreisachState:
     ----------
     array : (size,) or (devices, size) float64, laid out as `preisach.kernels` says. The only content:
         `PreisachState(numpy.load(...))` restores what `numpy.save(..., state.array)` wrote.
+
+    Examples
+    --------
+    >>> from vo2_models.preisach import PreisachOperator
+    >>> operator = PreisachOperator([0.0, 1.0, 2.0], [1.0, 2.0, 1.0])
+    >>> state = operator.memory([2.0, 0.5, 1.5])
+    >>> state.history().tolist()
+    [0.0, 2.0, 0.5, 1.5]
+    >>> restored = PreisachState(state.array.copy())
+    >>> restored == state, operator.update(0.2, restored) == operator.update(0.2, state.copy())
+    (True, True)
     """
 
     __slots__ = ("array",)

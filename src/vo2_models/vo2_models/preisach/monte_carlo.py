@@ -219,11 +219,11 @@ def _print(study: CompressiveStudy) -> None:
     for measure in ("density", "model", "random input"):
         table, published = study.errors[measure], PUBLISHED[measure]
         print(f"\nmean RMSE, {measure}")
-        print(f"  {'measurements':26}" + "".join(f"{count:>9d}" for count in study.measurements))
+        print(f"  {'measurements':26}" + "".join(f"{count:>10d}" for count in study.measurements))
         for name, row in zip(names, table.T, strict=True):
-            print(f"  {name:26}" + "".join(f"{value:9.4g}" for value in row))
+            print(f"  {name:26}" + "".join(f"{value:10.4g}" for value in row))
         implied = table[:, METHODS.index("CS")] / published["CS"]
-        print(f"  {'implied by CS, published':26}" + "".join(f"{value:9.4g}" for value in implied))
+        print(f"  {'implied by CS, published':26}" + "".join(f"{value:10.4g}" for value in implied))
         for baseline in ("Least Squares", *METHODS[4:], *MORE):
             ratios = ", ".join(
                 f"{name} {study.ratio(measure, name, baseline):.3f} (published {published[name]:.3f})"

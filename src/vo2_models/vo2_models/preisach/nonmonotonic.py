@@ -36,6 +36,14 @@ class NonMonotonicPreisach:
     operator : Gamma; the state is its state
     k0, k1 : expansion of the low- and high-temperature phase [output unit / K]
     reference : T0, where the expansion is zero [degC]
+
+    Examples
+    --------
+    >>> operator = PreisachOperator([30.0, 50.0, 70.0], np.full(3, 0.5))
+    >>> model = NonMonotonicPreisach(operator, k0=2.0, k1=4.0)
+    >>> state = operator.saturated()
+    >>> [model.update(t, state) for t in (25.0, 70.0, 90.0, 50.0)]
+    [-410.0, 200.0, 120.0, 110.0]
     """
 
     operator: PreisachOperator
@@ -71,6 +79,10 @@ class NonMonotonicPreisach:
         theta = min(max((temperature - low) / (high - low), 0.0), 1.0)
         expansion = -(self.k0 * (1 - theta) + self.k1 * theta) * (temperature - self.reference)
         return float(self.operator.update(temperature, state) + expansion)
+
+    def update_devices(self, temperature: ArrayLike, state: PreisachState) -> Floats:
+        """Apply one temperature [degC] to each device and return the outputs (devices,); `state` changes in place."""
+        return self.operator.update_devices(temperature, state) + self.expansion(temperature)
 
     def run(self, temperature: ArrayLike, state: PreisachState) -> tuple[Floats, PreisachState]:
         """Apply temperatures (n,) or (devices, n); return outputs and the state, which changes in place."""

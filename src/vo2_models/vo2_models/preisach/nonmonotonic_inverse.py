@@ -123,6 +123,16 @@ class NonMonotonicInverse:
     Raises
     ------
     ValueError : a negative density.
+
+    Examples
+    --------
+    >>> from vo2_models.preisach import PreisachOperator
+    >>> operator = PreisachOperator([30.0, 50.0, 70.0], np.full(3, 0.5))
+    >>> model = NonMonotonicPreisach(operator, k0=2.0, k1=4.0)
+    >>> state = operator.saturated()
+    >>> found = NonMonotonicInverse(model).update(150.0, state)
+    >>> found.reached, round(found.output, 9), model(found.temperatures).round(9).tolist()[-1]
+    (True, 150.0, 150.0)
     """
 
     model: NonMonotonicPreisach

@@ -48,6 +48,13 @@ def fit_polynomial(v: ArrayLike, u: ArrayLike, degree: int = 12) -> PolynomialMo
     Raises
     ------
     ValueError : not finite, shapes differ, or not more distinct inputs than the degree.
+
+    Examples
+    --------
+    >>> v = np.linspace(0.0, 2.0, 50)
+    >>> model = fit_polynomial(v, v**3, degree=3)
+    >>> round(float(model(1.5)), 6), round(float(model.inverse(3.375)), 3)
+    (3.375, 1.5)
     """
     inputs = finite_array(v, "v")
     outputs = finite_array(u, "u", size=inputs.size)
