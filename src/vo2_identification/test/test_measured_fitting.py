@@ -1,5 +1,6 @@
 """Fits and judgements on made-up recordings, written here with numpy alone: not by the project's simulation."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,8 @@ from vo2_identification.measured import fitting
 from vo2_identification.measured.candidates import LAG, RATE_INDEPENDENT, VO2, Candidate, Extra
 from vo2_identification.measured.cases import Case, cases_of, drive_share, with_share
 from vo2_identification.measured.fitting import Setting, fit_candidate, fit_lag
-from vo2_identification.measured.sources import Trace
+from vo2_identification.measured.report import SetReport, write_report
+from vo2_identification.measured.sources import Source, Trace
 from vo2_identification.measured.study import study_set
 from vo2_identification.measured.where import decades, line_of, rms_over_time
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, Recording
@@ -84,9 +86,14 @@ def test_a_lag_is_found_and_predicts_a_pulse_between():
         assert np.sqrt(np.mean(with_lag[good] ** 2)) < 0.2 * np.sqrt(np.mean(without[good] ** 2))
 
 
-def test_second_heat_path_is_named_and_measured():
+@pytest.fixture(scope="module")
+def two_paths():
     cases = family(np.linspace(0.4, 1.0, 7), slow_share=0.3, count=300)
-    found = study_set("made up", cases, candidates=(SECOND, KINETICS), setting=SETTING)
+    return study_set("made up", cases, candidates=(SECOND, KINETICS), setting=SETTING)
+
+
+def test_second_heat_path_is_named_and_measured(two_paths):
+    found = two_paths
     assert found.chosen.candidate.id == "second_thermal_mode"
     assert found.named, found.reasons
     assert found.chosen.gain > 0.85
@@ -95,6 +102,25 @@ def test_second_heat_path_is_named_and_measured():
     fast = [fit.values["thermal.time_constant"] for fit in found.chosen.fits]
     assert np.max([constants, fast], axis=0) == pytest.approx(0.06, rel=0.25)
     assert len({fold.words for fold in found.folds}) == 2
+
+
+def test_page_and_answer_tell_what_the_study_found(two_paths, tmp_path):
+    source = Source("made up", "A made-up film", "nowhere", "none", "this test")
+    report = SetReport(source, two_paths, None, None, ("one gap",), 1.0)
+    html, answer = write_report(tmp_path, [report], ["piezo/Model_Vi_Do.dat"])
+    text = html.read_text()
+    assert text.count("<figure") == 3
+    assert "Named: second_thermal_mode" in text
+    assert "Not there: piezo/Model_Vi_Do.dat" in text
+    assert "http" not in text.replace("http://www.w3.org", "").replace("http://purl.org", "").replace(
+        "http://creativecommons.org", ""
+    ).replace("https://matplotlib.org", "")
+    found = json.loads(answer.read_text())["sets"]["made up"]
+    assert found["named"] == "second_thermal_mode"
+    held = {c["id"]: c["rms_held_out"] for c in found["candidates"]}
+    assert held["second_thermal_mode"] == pytest.approx(two_paths.chosen.held)
+    assert held["one_lag"] > 3.0 * held["second_thermal_mode"]
+    assert sum(n["later"] for n in found["laws"]["best"].values()) == 7
 
 
 def test_nothing_is_named_where_one_lag_is_all_there_is():

@@ -1,5 +1,6 @@
 """Laws of relaxation: on made-up courses the law that made them wins, on measured ones the logarithm loses."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -67,3 +68,19 @@ def test_missing_data_is_told(tmp_path, capsys):
     assert main(["--output", str(tmp_path / "out"), "--data", str(tmp_path)]) == 2
     assert "found none of" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@needs_data
+@pytest.mark.slow
+def test_command_on_a_measured_set(tmp_path, capsys):
+    out = tmp_path / "out"
+    arguments = ["--output", str(out), "--data", str(DATA), "--only", "fast", "--no-diagnosis", "--quiet"]
+    assert main(arguments) == 0
+    assert "second_thermal_mode" in capsys.readouterr().out
+    found = json.loads((out / "measured.json").read_text())["sets"]["fast"]
+    held = {candidate["id"]: candidate["rms_held_out"] for candidate in found["candidates"]}
+    # a second heat path, or a spread of them, predicts pulses that were not fitted; a drift with the logarithm of time does not
+    assert held["second_thermal_mode"] < 0.6 * held[found["reference"]]
+    assert held["spread_of_lags"] < 0.6 * held[found["reference"]]
+    assert held["slow_relaxation"] > held["second_thermal_mode"]
+    assert "<figure" in (out / "report.html").read_text()

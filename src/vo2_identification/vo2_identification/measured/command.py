@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not there:
         return _refuse(f"--data: found none of {', '.join(missing)} in {data}, need at least one")
     from vo2_identification.measured.report import write_report
-    from vo2_identification.measured.words import diagnosis_sentence, verdict
+    from vo2_identification.measured.words import across_sets, diagnosis_sentence, verdict
 
     reports = {}
     try:
@@ -59,6 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 )
                 if report.diagnosis is not None:
                     print(f"  {diagnosis_sentence(report.diagnosis)}", flush=True)
+        for text in across_sets([reports[key].study for key in there]):
+            print(text)
         html, answer = write_report(options.output, [reports[key] for key in there], missing)
     except ValueError as error:
         return _refuse(str(error))

@@ -66,7 +66,8 @@ def course_figure(study: SetStudy) -> str:
                 if number < len(judged.fits):
                     shown = _shown(judged.fits[number], case)
                     axis.semilogx(since[good], shown[good], style, color=colour, label=name)
-            axis.set_title(case.label, fontsize=9)
+            late = study.key == "pulses" and number == len(study.folds) - 1
+            axis.set_title(f"{case.label}, second pulse" if late else case.label, fontsize=9)
         for axis in axes[len(held) :]:
             axis.set_axis_off()
         for axis in axes[max(len(held) - columns, 0) : len(held)]:

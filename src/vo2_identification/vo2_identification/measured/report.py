@@ -15,6 +15,7 @@ from vo2_identification.measured.sources import Source
 from vo2_identification.measured.study import SetStudy
 from vo2_identification.measured.where import Line
 from vo2_identification.measured.words import (
+    across_sets,
     diagnosis_sentence,
     laws_won,
     parameters_text,
@@ -70,6 +71,7 @@ def write_report(folder: Path, reports: Sequence[SetReport], missing: Sequence[s
         {
             "schema": "vo2-measured/1",
             "sets": {report.source.key: _entry(report) for report in reports},
+            "across_sets": across_sets([report.study for report in reports]),
             "missing": list(missing),
         },
         indent=1,
@@ -99,6 +101,7 @@ def _summary(reports: Sequence[SetReport], missing: Sequence[str]) -> str:
     ]  # fmt: skip
     caption = "Held-out error, r.m.s.; in brackets the share that it removes of the excess of the better of the two simple models"
     sentences = [paragraph(f"{report.source.title}. {verdict(report.study)}") for report in reports]
+    sentences += [paragraph(text) for text in across_sets([report.study for report in reports])]
     gone = [paragraph(f"Not there: {', '.join(missing)}.")] if missing else []
     return section("What was found", table(caption, header, rows), *sentences, *gone)
 
@@ -152,7 +155,7 @@ def _candidates(study: SetStudy) -> str:
     ]  # fmt: skip
     equations = [
         paragraph(f"{judged.candidate.id}: {judged.candidate.equation}.")
-        for judged in dict.fromkeys((study.chosen, study.best))
+        for judged in {j.candidate.id: j for j in (study.chosen, study.best)}.values()
     ]
     return table(
         f"Errors r.m.s.; gain: share of the excess of {study.reference} removed on held-out data",

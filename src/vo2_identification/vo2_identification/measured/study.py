@@ -263,14 +263,10 @@ def _doubts(chosen: Judgement, others: Sequence[Judgement]) -> list[str]:
     limits = Thresholds()
     name = chosen.candidate.id
     found = []
-    if chosen.gain < limits.share:
+    if chosen.gain < limits.complete:
         found.append(
-            f"{name} removes {100 * chosen.gain:.0f} % of the excess on held-out data, need {100 * limits.share:.0f} %"
-        )
-    elif chosen.gain < limits.complete:
-        found.append(
-            f"{name} removes {100 * chosen.gain:.0f} % of the excess on held-out data, but what is left is far above "
-            f"the noise: a name must explain {100 * limits.complete:.0f} %"
+            f"a name must explain {100 * limits.complete:.0f} % of the excess on held-out data, {name} removes "
+            f"{100 * chosen.gain:.0f} %"
         )
     bound = sorted({text for fit in chosen.fits for text in fit.at_bound})
     if bound:

@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
 from vo2_models.recording import RESISTANCE
 
 from vo2_identification.measured.preset_diagnosis import PresetDiagnosis
 from vo2_identification.measured.study import Judgement, SetStudy
 
-__all__ = ["diagnosis_sentence", "laws_won", "parameters_text", "scale_of", "unit_of", "verdict"]
+__all__ = [
+    "across_sets",
+    "diagnosis_sentence",
+    "laws_won",
+    "parameters_text",
+    "scale_of",
+    "unit_of",
+    "verdict",
+]
+
+
+NOTHING = 0.25
+"""Share of the excess below which an explanation explains nothing; as in the diagnosis."""
 
 
 def unit_of(study: SetStudy) -> str:
@@ -21,7 +36,7 @@ def scale_of(study: SetStudy) -> float:
 
 
 def verdict(study: SetStudy) -> str:
-    """What was found in a set, in two sentences."""
+    """What was found in a set, in a few sentences."""
     simple, chosen, best = study.of(study.reference), study.chosen, study.best
     scale, unit = scale_of(study), unit_of(study)
 
@@ -30,20 +45,64 @@ def verdict(study: SetStudy) -> str:
 
     name = chosen.candidate.id
     if study.named:
-        first = f"Named: {name}. It lowers the held-out error from {errors(chosen)}"
-        if study.rivals:
-            first += f"; {', '.join(study.rivals)} predicts as well and is not told apart by this recording"
-        return first + "."
-    first = f"Nothing is named: {'; '.join(study.reasons)}."
-    if best.candidate.id in ("one_lag", "rate_independent") or best.gain < 0.25:
-        return (
-            first + " No other candidate predicts what was held out better by a quarter of the excess either."
+        text = [f"Named: {name}. It lowers the held-out error from {errors(chosen)}"]
+    elif chosen.gain < NOTHING:
+        text = [f"Nothing of the catalogue can be named: {'; '.join(study.reasons)}"]
+    else:
+        text = [
+            f"Not named, but not nothing: of the catalogue {name} fits best and lowers the held-out error from "
+            f"{errors(chosen)}, {100 * chosen.gain:.0f} % of the excess; however, {'; '.join(study.reasons)}"
+        ]
+    if study.rivals:
+        text.append(f"{' and '.join(study.rivals)} predicts about as well and is not told apart")
+    if best is not chosen and best.candidate.id not in ("one_lag", "rate_independent"):
+        kind = (
+            "effect of the catalogue"
+            if best.candidate.in_catalogue
+            else "law that the catalogue does not have"
         )
-    kind = "effect of the catalogue" if best.candidate.in_catalogue else "law from outside the catalogue"
-    return (
-        f"{first} Best on held-out data is the {kind} {best.candidate.id}: from {errors(best)}, "
-        f"{100 * best.gain:.0f} % of the excess."
-    )
+        if best.gain >= max(NOTHING, chosen.gain):
+            text.append(
+                f"What was held out is predicted best by a {kind}, {best.candidate.id}: {scale * best.held:.3g} {unit}, "
+                f"{100 * best.gain:.0f} % of the excess"
+            )
+    elif best is not chosen:
+        text.append("No candidate predicts what was held out better than the simple models")
+    return ". ".join(text) + "."
+
+
+def across_sets(studies: Sequence[SetStudy]) -> list[str]:
+    """What only several sets together show."""
+    found = []
+    slower = {
+        study.key: max(
+            float(np.median([fit.values[name] for fit in study.of("second_thermal_mode").fits]))
+            for name in ("second_thermal_mode.time_constant", "thermal.time_constant")
+        )
+        for study in studies
+        if study.laws
+    }
+    if len(slower) > 1:
+        told = ", ".join(f"{key} {value:.2g} s" for key, value in slower.items())
+        text = f"The slower constant of second_thermal_mode, median over the splits: {told}."
+        if max(slower.values()) > 5.0 * min(slower.values()):
+            text += (
+                " Two bodies would have the same two constants whatever the pulse. One that changes with the length of "
+                "what is looked at is a point of a spread of heat paths, as of heat that spreads into a substrate."
+            )
+        found.append(text)
+    laws: dict[str, list[int]] = {}
+    for study in studies:
+        for law, counts in laws_won(study).items():
+            own = laws.setdefault(law, [0, 0])
+            own[0], own[1] = own[0] + counts[0], own[1] + counts[1]
+    if laws:
+        count = sum(own[1] for own in laws.values())
+        told = ", ".join(f"{law} {own[0]} and {own[1]}" for law, own in laws.items())
+        found.append(
+            f"Which law predicts each of the {count} relaxations best, between and later than what was fitted: {told}."
+        )
+    return found
 
 
 def diagnosis_sentence(found: PresetDiagnosis) -> str:
