@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -66,6 +67,8 @@ CONTROLLER_NODE_PARAMETERS = (
 )
 _NAN = float("nan")
 _SETTLE_CONSTANTS = 5.0
+_LATE = 1.5
+"""Periods after the last input at which the next one counts as missing."""
 
 
 class ControllerNode(Node):
@@ -93,7 +96,7 @@ class ControllerNode(Node):
         self._reference: tuple[int, float] | None = None
         self._estimate: tuple[int, tuple[float, ...]] | None = None
         self._answer = b""
-        self._inputs_since_tick = 0
+        self._input_s = -math.inf
         self._estimate_reader = SampleReader(ESTIMATE_CHANNELS)
         self._reference_reader = SampleReader(REFERENCE_CHANNELS)
         self._writer = SampleWriter(COMMAND_CHANNELS, self._table.text("preset"))
@@ -141,7 +144,7 @@ class ControllerNode(Node):
         elif self._reference is None or self._reference[0] != stamp_ns:
             return
         self._estimate = None
-        self._inputs_since_tick += 1
+        self._input_s = time.monotonic()
         if self._table.revision != self._revision:
             self._rebuild()
         self._take_over_designed()
@@ -202,10 +205,13 @@ class ControllerNode(Node):
         last_ns = self._order.last_ns
         if last_ns is None or not self._table.flag("enabled"):
             return
-        if self._inputs_since_tick == 0:
+        # the clock here and the arrival of samples drift against each other: a period without input is no gap yet
+        now = time.monotonic()
+        if now - self._input_s > _LATE * self._period_s:
+            # so that the next tick, early or late, tells the next missing sample
+            self._input_s = now - 0.75 * self._period_s
             waiting = REFERENCE if self._estimate is not None else ESTIMATE
             self._miss(last_ns + round(self._period_s * 1e9), f"nothing on {waiting}: is its node running?")
-        self._inputs_since_tick = 0
 
     def _task(self) -> Task:
         """Return what the present parameters ask for."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -57,6 +58,8 @@ FEEDFORWARD_PARAMETERS = (
     ),
     *LIMIT_PARAMETERS,
 )
+_LATE = 1.5
+"""Periods after the last input at which the next one counts as missing."""
 
 
 class FeedforwardNode(Node):
@@ -79,7 +82,7 @@ class FeedforwardNode(Node):
         self._reference: tuple[int, float] | None = None
         self._waiting_ns: int | None = None
         self._answer = b""
-        self._answers_since_tick = 0
+        self._input_s = -math.inf
         self._measurement_reader = SampleReader(())
         self._reference_reader = SampleReader(REFERENCE_CHANNELS)
         self._writer = SampleWriter(COMMAND_CHANNELS, preset)
@@ -119,7 +122,7 @@ class FeedforwardNode(Node):
         if not hold and (self._reference is None or self._reference[0] != stamp_ns):
             return
         self._waiting_ns = None
-        self._answers_since_tick += 1
+        self._input_s = time.monotonic()
         if self._table.revision != self._revision:
             self._rebuild()
         if self._order.jumped_back(stamp_ns):
@@ -168,10 +171,15 @@ class FeedforwardNode(Node):
     def _on_tick(self) -> None:
         """Wall time: a period without an answered measurement is a missed input."""
         last_ns = self._order.last_ns
-        if last_ns is not None and self._table.flag("enabled") and self._answers_since_tick == 0:
+        if last_ns is None or not self._table.flag("enabled"):
+            return
+        # the clock here and the arrival of samples drift against each other: a period without input is no gap yet
+        now = time.monotonic()
+        if now - self._input_s > _LATE * self._period_s:
+            # so that the next tick, early or late, tells the next missing sample
+            self._input_s = now - 0.75 * self._period_s
             missing = MEASUREMENT if self._waiting_ns is None else REFERENCE
             self._lost(last_ns + round(self._period_s * 1e9), f"nothing on {missing}: is its node running?")
-        self._answers_since_tick = 0
 
     def _rebuild(self) -> None:
         """Invert the model that the parameters hold; one that cannot be inverted leaves the former at work."""

@@ -23,7 +23,7 @@ from vo2_models.excitation import damped_oscillation
 from vo2_models.model_file import save_model_parameters
 from vo2_models.self_sensing import identify
 
-__all__ = ["ENTRIES", "lockstep_rate", "relay_rate"]
+__all__ = ["ENTRIES", "lockstep_rate", "relay_rate", "save_small_model"]
 
 _SECONDS = 4.0
 _WARM_S = 1.0
@@ -154,13 +154,18 @@ def relay_rate() -> float:
     return _measure([["-m", here, "second"], ["-m", here, "third"]], ["-m", here, "first"])
 
 
+def save_small_model(path: Path) -> None:
+    """Identify device 1 from a short damped oscillation and save its model."""
+    share = damped_oscillation(np.linspace(0.0, 1.0, 21))
+    recording = truth("integrated", seed=1).simulate(np.repeat(3.68e-3 + 4.81e-3 * share, 10), seed=1)
+    save_model_parameters(path, identify(recording, "integrated"))
+
+
 def lockstep_rate() -> float:
     """Samples per second of plant, estimator and controller as three processes."""
     with tempfile.TemporaryDirectory() as folder:
         model = Path(folder) / "model.yaml"
-        share = damped_oscillation(np.linspace(0.0, 1.0, 21))
-        recording = truth("integrated", seed=1).simulate(np.repeat(3.68e-3 + 4.81e-3 * share, 10), seed=1)
-        save_model_parameters(model, identify(recording, "integrated"))
+        save_small_model(model)
         ros = ["--ros-args", "--params-file", str(model)]
         return _measure(
             [

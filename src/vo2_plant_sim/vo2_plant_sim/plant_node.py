@@ -23,6 +23,7 @@ from vo2_plant_sim.interface.lockstep import HOLD_SAMPLES, REPEAT_S
 from vo2_plant_sim.interface.model import PRESETS, model_parameters
 from vo2_plant_sim.interface.parameters import ParameterTable
 from vo2_plant_sim.interface.samples import ClockWriter, SampleReader, SampleWriter
+from vo2_plant_sim.interface.timing import LoopTiming
 from vo2_plant_sim.interface.topics import (
     CLOCK,
     COMMAND,
@@ -60,6 +61,8 @@ _START_NS = 1_000_000_000
 """Stamp of the first simulated sample: zero means "no time" in ROS."""
 _CLOCK_NS = 10_000_000
 _BEAT_NS = 1_000_000_000
+_LATE = 0.75
+"""Share of a period by which a sample may be late before it counts as skipped."""
 
 
 class PlantNode(Node):
@@ -84,7 +87,8 @@ class PlantNode(Node):
         self._stamp_ns = self._start_ns
         self._command: tuple[int, float] | None = None
         self._since_command = 0
-        self._missed_periods = 0
+        self._timing = LoopTiming(self._device.period)
+        self._answered_ns = 0
         self._used_a = SAFE_CURRENT_A
         self._clock_every = max(1, _CLOCK_NS // self._period_ns)
         self._beat_every = max(1, _BEAT_NS // self._period_ns)
@@ -105,7 +109,7 @@ class PlantNode(Node):
             self._publish()
             self.create_timer(REPEAT_S / 4.0, self._on_quiet)
         else:
-            self._pace_from = 0.0
+            self._due_s = 0.0
             self.create_timer(self._device.period, self._on_tick)
 
     def _on_command(self, data: bytes) -> None:
@@ -121,6 +125,10 @@ class PlantNode(Node):
         if not self._lockstep:
             self._command = (stamp_ns, current)
             self._since_command = 0
+            self._answered_ns = stamp_ns
+            now = time.monotonic()
+            late_s = now - self._published_at + 1e-9 * (self._stamp_ns - stamp_ns)
+            self._timing.command(now, max(late_s, 0.0))
             return
         if stamp_ns == self._stamp_ns and self._command is None:
             self._command = (stamp_ns, current)
@@ -171,17 +179,21 @@ class PlantNode(Node):
 
     def _on_tick(self) -> None:
         """Wall time: keep the pace, whoever answers."""
+        period, now = self._device.period, time.monotonic()
         if self._index < 0:
-            # a quarter period after each due time, so that a timer that jitters still meets its own period
             self._start_ns = time.time_ns()
-            self._pace_from = time.monotonic() - 0.25 * self._device.period
-        due = int((time.monotonic() - self._pace_from) / self._device.period)
-        behind = due - self._index - 1
-        if behind < 0:
+            self._due_s = now
+        if now - self._due_s < -0.5 * period:
             return
-        if behind > 0:
-            self._missed_periods += behind
-        for _ in range(min(behind + 1, round(1e9 / self._period_ns) + 1)):
+        # the earliest ticks tell when samples are due, so that one that came late does not make the others early
+        self._due_s = min(self._due_s, now)
+        behind = int((now - self._due_s) / period + 1.0 - _LATE)
+        self._due_s += (behind + 1) * period
+        self._timing.sample(now, behind, self._answered_ns >= self._stamp_ns)
+        # after a long stall the device is not stepped through all of it
+        steps = min(behind + 1, round(1e9 / self._period_ns) + 1)
+        self._index += behind + 1 - steps
+        for _ in range(steps):
             self._since_command += 1
             if self._since_command > HOLD_SAMPLES + 1 and self._command is not None:
                 self._diagnostics.report(
@@ -193,11 +205,9 @@ class PlantNode(Node):
             elif self._command is not None and self._since_command <= 1:
                 self._diagnostics.report("command", "ok", "commands arrive")
             self._advance(SAFE_CURRENT_A if self._command is None else self._command[1])
-        self._index = max(self._index, due)
-        self._stamp_ns = self._start_ns + self._index * self._period_ns
         self._publish()
         if self._index % self._beat_every == 0:
-            self._diagnostics.report("pace", "ok", "wall time", {"missed_periods": self._missed_periods})
+            self._diagnostics.report("pace", "ok", "wall time", self._timing.values())
 
     def _advance(self, current_a: float) -> None:
         values = self._device.step(current_a)

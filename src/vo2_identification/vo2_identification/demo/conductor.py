@@ -35,6 +35,11 @@ class Conductor:
     ----------
     graph : the processes
     on_progress : called with (status name, text, values) of every diagnostic status that arrives
+
+    Attributes
+    ----------
+    node : the node itself, for more than this class offers
+    statuses : what each diagnostic status said last: (level, text, values)
     """
 
     def __init__(
@@ -45,16 +50,16 @@ class Conductor:
         self.statuses: dict[str, tuple[bytes, str, dict[str, str]]] = {}
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=graph.domain, args=[])
-        self._node = Node("conductor", namespace="/vo2_demo", context=self._context)
+        self.node = Node("conductor", namespace="/vo2_demo", context=self._context)
         self._executor = fastest_executor(self._context)
-        self._executor.add_node(self._node)
+        self._executor.add_node(self.node)
         self._clients: dict[tuple[str, type], Any] = {}
         self._checked = 0.0
-        self._node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, READ_QOS)
+        self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, READ_QOS)
 
     def close(self) -> None:
         """Leave the graph."""
-        self._node.destroy_node()
+        self.node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
     def wait_for(self, what: str, condition: Callable[[], bool], timeout_s: float) -> None:
@@ -110,11 +115,11 @@ class Conductor:
         def note(data: bytes) -> None:
             newest[0] = reader.read(data)[0] * 1e-9
 
-        subscription = self._node.create_subscription(JointState, topic, note, READ_QOS, raw=True)
+        subscription = self.node.create_subscription(JointState, topic, note, READ_QOS, raw=True)
         self.wait_for(
             f"the sample of {stamp_s:.3f} s on {topic}", lambda: newest[0] >= stamp_s - 1e-9, timeout_s
         )
-        self._node.destroy_subscription(subscription)
+        self.node.destroy_subscription(subscription)
 
     def set(self, node: str, values: Mapping[str, Value], timeout_s: float = 20.0) -> None:
         """Set parameters of a node (full name), all or none."""
@@ -147,7 +152,7 @@ class Conductor:
 
     def _client(self, name: str, kind: type) -> Any:
         if (name, kind) not in self._clients:
-            self._clients[name, kind] = self._node.create_client(kind, name)
+            self._clients[name, kind] = self.node.create_client(kind, name)
         return self._clients[name, kind]
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
