@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 _INTEGRATOR_RAD_S = 1e-5
-BANDWIDTHS_RAD_S = (0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4)
+BANDWIDTHS_RAD_S = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4)
 EFFORTS = (0.1,)
 """Grid of `tuned_integral_law` [rad/s, um/A]: from far below the loop's reach to where no plant keeps its margins."""
 _COVERED_RAD_S = (1e-4, 3.0)

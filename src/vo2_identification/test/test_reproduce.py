@@ -10,12 +10,15 @@ import time
 
 import numpy as np
 import pytest
+from vo2_control.pid import PUBLISHED_PELTIER_PID, pid_law
 from vo2_identification.reproduce import main
 from vo2_identification.reproduce.claims import Claim, Context, Section, at_least, at_most, within
 from vo2_identification.reproduce.command import section_modules
+from vo2_identification.reproduce.own_designs import Designs
 from vo2_identification.reproduce.page import page
-from vo2_identification.reproduce.peltier import NOISE_A, current_noise, reference
+from vo2_identification.reproduce.peltier import EXPERIMENTS, NOISE_A, PERIOD_S, current_noise, reference
 from vo2_identification.reproduce.pool import run_many
+from vo2_identification.reproduce.sections import chapter_6, chapter_8_own, chapter_8_robustness
 
 KEYS = {"id", "section", "claim", "published", "ours", "unit", "met"}
 
@@ -86,7 +89,7 @@ def test_references_and_noise_are_those_of_the_experiments():
     assert power[3600:].mean() < 0.1 * power[:2800].mean()  # band-limited
 
 
-def _interrupted(arguments, wait_for):
+def _interrupted(arguments, wait_for, by=signal.SIGINT):
     """Start python in a group of its own, press Ctrl-C once it has said `wait_for`; return status and what it said."""
     process = subprocess.Popen(
         [sys.executable, "-u", *arguments],
@@ -100,26 +103,27 @@ def _interrupted(arguments, wait_for):
     for line in process.stderr:
         said += line
         if wait_for in line:
-            os.killpg(process.pid, signal.SIGINT)
+            os.killpg(process.pid, by) if by == signal.SIGINT else process.send_signal(by)
             break
     said += process.stderr.read()
-    return process.wait(timeout=30), said
+    return process.wait(timeout=120), said
 
 
-def test_interrupt_keeps_the_sections_that_are_done(tmp_path):
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+def test_interrupt_keeps_the_sections_that_are_done(tmp_path, by):
     arguments = [
         "-m",
         "vo2_identification.reproduce",
         "--only",
-        "3.5",
+        "8.3",
         "--only",
         "8.4",
         "--output",
         str(tmp_path),
     ]
-    status, said = _interrupted([*arguments, "--draws", "50"], "8.4    ")
+    status, said = _interrupted([*arguments, "--draws", "50"], "8.4    ", by)
     assert status == 130 and "interrupted in 8.4" in said and "Traceback" not in said
-    assert {r["section"][:3] for r in json.loads((tmp_path / "reproduction.json").read_text())} == {"3.5"}
+    assert {r["section"][:3] for r in json.loads((tmp_path / "reproduction.json").read_text())} == {"8.3"}
 
 
 def test_interrupt_ends_the_processes_of_a_pool_quietly():
@@ -148,7 +152,7 @@ def _module(number):
 
 @pytest.mark.parametrize(
     "number",
-    ["3.6", "6", *(pytest.param(n, marks=pytest.mark.slow) for n in ("2.4", "3.5", "4.3", "4.4", "5"))],
+    ["3.6", *(pytest.param(n, marks=pytest.mark.slow) for n in ("2.4", "3.5", "4.3", "4.4", "5", "6"))],
 )
 def test_open_loop_sections_find_a_value_for_every_claim(number):
     section = _module(number).run(Context())
@@ -161,6 +165,22 @@ def test_open_loop_sections_find_a_value_for_every_claim(number):
 
 def test_iterations_of_the_fixed_point_inverse_follow_the_tolerance():
     """6.4.1 on its own model: fewer iterations than published at both tolerances, and fewer at the coarser one."""
-    claims = {claim.id: claim for claim in _module("6").run(Context(seed=7)).claims}
+    claims = {claim.id: claim for claim in chapter_6._iterations(7)[0]}
     fine, coarse = claims["6.4.1.iterations_0.0001"], claims["6.4.1.iterations_0.01"]
     assert fine.met and coarse.met and coarse.ours < fine.ours
+
+
+def test_own_comparison_runs_every_loop_and_judges_by_the_reference():
+    law = pid_law(PUBLISHED_PELTIER_PID, PERIOD_S)
+    designs = Designs(law, law, law, law, 0.5, {}, ())
+    found = chapter_8_own.compare((designs, 3, True))
+    assert set(found.merits) == {(kind, name) for kind in EXPERIMENTS for name in chapter_8_own.LOOPS}
+    for kind in EXPERIMENTS:
+        # the same law and sensing: what differs is the feedforward alone
+        assert found.merits[kind, "PID"].rmse_um == found.merits[kind, "H-infinity alone"].rmse_um
+        assert found.merits[kind, "PID + feedforward"].rmse_um == found.merits[kind, "H-infinity"].rmse_um
+    # feedforward that crosses the loop ahead tracks better than the published PID by itself
+    assert found.merits["multi", "H-infinity"].rmse_um < found.merits["multi", "PID"].rmse_um
+    assert set(found.traces) == set(chapter_8_own.LOOPS)
+    survival = chapter_8_robustness.survive((designs, 3))
+    assert survival.finite and abs(survival.factor - 1) <= 0.2 and 0.5 <= survival.noise <= 2.0

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 
 __all__ = ["main"]
@@ -13,6 +15,9 @@ INTERRUPTED = 130
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Console script; see `vo2_identification.reproduce.command`."""
+    main_thread = threading.current_thread() is threading.main_thread()
+    # SIGTERM ends it like Ctrl-C: no process of a pool and no node of a scenario is left behind
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler) if main_thread else None
     try:
         # the libraries behind the sections take seconds to load, in which Ctrl-C works as later
         from vo2_identification.reproduce.command import run
@@ -21,3 +26,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("\nreproduce: interrupted", file=sys.stderr)
         return INTERRUPTED
+    finally:
+        if main_thread:
+            signal.signal(signal.SIGTERM, before)
