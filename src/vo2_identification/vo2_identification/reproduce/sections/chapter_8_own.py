@@ -80,7 +80,7 @@ def run(context: Context) -> Section:
         short = name.lower().replace(" + ", "_").replace(" ", "_")
         claims.append(
             Claim(f"8.5.margins_{short}", "8.5", f"Largest of Ms and Mt of {name} over the identified plants", None, peak, "1",
-                  at_most(1.01 * MAX_SENSITIVITY), f"limit {MAX_SENSITIVITY:g} for every law, on the grid of its own search")
+                  at_most(MAX_SENSITIVITY), "the same limit for every law")
         )  # fmt: skip
     claims += _comparisons(table)
     remarks = (
