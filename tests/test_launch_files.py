@@ -1,0 +1,107 @@
+"""Launch files: what they start exists, their parameters are declared; built where ROS 2's launch is installed.
+
+`launch` is not among the wheels of PyPI (what is called so there is another package), so that machines without
+ROS 2 check what the files name, and machines with it build their descriptions.
+"""
+
+import ast
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+from vo2_control.controller_node import CONTROLLER_NODE_PARAMETERS
+from vo2_control.designs import CONTROLLER_PARAMETERS
+from vo2_control.reference_node import REFERENCE_PARAMETERS
+from vo2_estimation.estimator_node import ESTIMATOR_PARAMETERS
+from vo2_identification.identifier_node import IDENTIFIER_PARAMETERS
+from vo2_plant_sim.plant_node import PLANT_PARAMETERS
+from vo2_plant_sim.simulated_device import SIMULATED_DEVICE_PARAMETERS
+
+SOURCES = Path(__file__).resolve().parents[1] / "src"
+LAUNCH_FILES = sorted(SOURCES.glob("*/launch/*.launch.py"))
+DECLARED = {
+    "plant": (*PLANT_PARAMETERS, *SIMULATED_DEVICE_PARAMETERS),
+    "estimator": ESTIMATOR_PARAMETERS,
+    "controller": (*CONTROLLER_NODE_PARAMETERS, *CONTROLLER_PARAMETERS),
+    "reference": REFERENCE_PARAMETERS,
+    "identifier": IDENTIFIER_PARAMETERS,
+}
+
+
+def texts(path):
+    """All strings in a Python file."""
+    tree = ast.parse(path.read_text())
+    return [
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]
+
+
+def executables(package):
+    """Names that a package installs as executables."""
+    return set(re.findall(r'"(\w+) = [\w.]+:main"', (SOURCES / package / "setup.py").read_text()))
+
+
+def started(path):
+    """(package, executable) of every node that a launch file starts: neighbours in a tuple or keywords of a call."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Tuple):
+            values = [each.value for each in node.elts if isinstance(each, ast.Constant)]
+            if len(values) == len(node.elts) == 2:
+                found.add(tuple(values))
+        elif isinstance(node, ast.Call):
+            given = {
+                each.arg: each.value.value for each in node.keywords if isinstance(each.value, ast.Constant)
+            }
+            if {"package", "executable"} <= set(given):
+                found.add((given["package"], given["executable"]))
+    return found
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_what_a_launch_file_starts_is_installed(path):
+    nodes = started(path)
+    assert len(nodes) >= 3
+    for package, executable in nodes:
+        assert executable in executables(package), (package, executable)
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_what_a_launch_file_needs_is_a_dependency_and_is_installed_with_it(path):
+    package = path.parents[1]
+    manifest, setup = (package / "package.xml").read_text(), (package / "setup.py").read_text()
+    needed = {other for other, _ in started(path)} - {package.name}
+    for name in {"launch", "launch_ros", *needed}:
+        assert f"<exec_depend>{name}</exec_depend>" in manifest, name
+    assert 'glob("launch/*.launch.py")' in setup
+    for name in [
+        text for text in texts(path) if text.endswith(".yaml") and (package / "config" / text).exists()
+    ]:
+        assert 'glob("config/*.yaml")' in setup, name
+
+
+def test_the_parameter_file_of_the_loop_holds_declared_parameters_with_valid_values():
+    content = yaml.safe_load((SOURCES / "vo2_control" / "config" / "loop.yaml").read_text())
+    shared = content.pop("/**")["ros__parameters"]
+    assert content
+    for name, section in content.items():
+        records = {record.name: record for record in DECLARED[name.rsplit("/", 1)[-1]]}
+        for key, value in {**shared, **section["ros__parameters"]}.items():
+            records[key].check(value)
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_the_description_builds_where_ros_2_launch_is_installed(path):
+    pytest.importorskip("launch_ros", reason="launch comes with ROS 2 only, not from PyPI")
+    spec = importlib.util.spec_from_file_location(path.name.split(".")[0], path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    description = module.generate_launch_description()
+    names = {argument.name for argument in description.get_launch_arguments()}
+    assert "namespace" in names
+    assert all(argument.description for argument in description.get_launch_arguments())
