@@ -28,7 +28,7 @@ def characterise(
     *,
     degree: int = 8,
     plays: int = 6,
-    level: int = 30,
+    level: int = 40,
     composite_plays: int = PLAYS,
 ) -> dict[str, Value]:
     """Return `model.self_sensing.*` parameters from the recording a model was fitted on.
