@@ -34,7 +34,9 @@ class Thresholds:
     share : least share of a name's gain that must show on held-out blocks, and of the excess that an unnamed
         correction must remove there
     second : a second effect explains at least this share of what the first leaves over...
-    second_of_all : ... and this share of the whole excess: below it is how far an equation of the first may be off
+    second_of_all : ... and this share of the whole excess
+    alike : ... and its pattern has at most this cosine with the first's: an equation that is a little off leaves
+        something like itself
     excess, channel_excess : where nothing is named, a recording differs if the residual's power exceeds the noise
         by this much, or a single channel's by that
     plain : excess below which a residual that nothing predicts on held-out blocks is taken for noise or misfit
@@ -44,14 +46,15 @@ class Thresholds:
 
     gain: float = 150.0
     sigmas: float = 4.0
-    slack: float = 0.2
-    complete: float = 0.85
+    slack: float = 0.12
+    complete: float = 0.75
     share: float = 0.25
-    second: float = 0.4
-    second_of_all: float = 0.04
+    second: float = 0.45
+    second_of_all: float = 0.005
+    alike: float = 0.25
     excess: float = 0.25
     channel_excess: float = 0.4
-    plain: float = 3.0
+    plain: float = 0.4
     rival: float = 25.0
     temper: float = 8.0
 

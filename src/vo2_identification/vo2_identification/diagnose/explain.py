@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vo2_identification.diagnose.evidence import Evidence
 from vo2_identification.diagnose.hypotheses import Hypothesis
 
-__all__ = ["Explanation", "Score", "fit_jointly", "score"]
+__all__ = ["Explanation", "Score", "fit_jointly", "score", "switched"]
 
 Floats = NDArray[np.float64]
 BATCH = 32
@@ -162,6 +162,51 @@ def _rescaled(
     factor = min(max(factor, 0.1), 5.0)
     return {
         n: float(np.clip(v * factor, *hypothesis.bounds(n))) if n in linear else v for n, v in values.items()
+    }
+
+
+def switched(
+    evidence: Evidence,
+    hypothesis: Hypothesis,
+    start: Mapping[str, float],
+    residual: Floats,
+    *,
+    tick: Callable[[], None] = lambda: None,
+) -> dict[str, float]:
+    """Start values with the times of switching found by search: a fit by derivatives does not see past an edge.
+
+    Each time is moved by a twentieth of the recording, then by half of that and so on, as long as the gain with the best
+    magnitude grows.
+    """
+    values = dict(start)
+    names = [n for n in hypothesis.switches if abs(values.get(n, np.inf)) < 1e9]
+    if not names:
+        return values
+    left = evidence.left(residual)
+    length = max(part.size * part.dt for part in evidence.parts)
+
+    def judged(trials: Sequence[Mapping[str, float]]) -> list[tuple[float, float]]:
+        columns = np.column_stack(evidence.deviations([hypothesis.effects(v) for v in trials]))
+        for _ in trials:
+            tick()
+        along, own = left @ columns, np.maximum(evidence.chi_squares(columns), 1e-9)
+        return [(float(a * abs(a) / o), float(a / o)) for a, o in zip(along, own, strict=True)]
+
+    best, factor = judged([values])[0]
+    step = length / 20
+    while step > max(part.dt for part in evidence.parts):
+        trials = [{**values, n: values[n] + sign * step} for n in names for sign in (1.0, -1.0)]
+        found = judged(trials)
+        place = max(range(len(trials)), key=lambda k: found[k][0])
+        if found[place][0] > best:
+            values, (best, factor) = trials[place], found[place]
+        else:
+            step *= 0.5
+    return {
+        n: float(np.clip(v * factor, *hypothesis.bounds(n)))
+        if n not in names and not hypothesis.logarithmic(n)
+        else v
+        for n, v in values.items()
     }
 
 

@@ -61,6 +61,11 @@ class Hypothesis:
         """Record of a parameter."""
         return next(p for p in self.record.parameters if p.name == name)
 
+    @property
+    def switches(self) -> tuple[str, ...]:
+        """Parameters that are times at which the effect goes on and off."""
+        return tuple(p.name for p in self.record.parameters if p.unit == "s" and abs(_neutral(p)) >= HUGE)
+
     def bounds(self, name: str) -> tuple[float, float]:
         """Physical range."""
         parameter = self.parameter(name)

@@ -42,8 +42,11 @@ class Breakdown:
     axes: Mapping[str, tuple[Sequence[float] | Sequence[str], Floats]]
 
 
-def breakdown(evidence: Evidence, residual: Floats) -> list[Breakdown]:
-    """Split the excess energy of a whitened residual (N,) along every axis, channel by channel."""
+def breakdown(evidence: Evidence, residual: Floats, *, floor: float = 1.0) -> list[Breakdown]:
+    """Split the excess energy of a whitened residual (N,) along every axis, channel by channel.
+
+    `floor` is the energy per sample that is noise: 1 for a residual, 0 for what a model says.
+    """
     found = []
     for channel in dict.fromkeys(row.channel for row in evidence.rows):
         pieces: dict[str, list[NDArray]] = {
@@ -56,7 +59,7 @@ def breakdown(evidence: Evidence, residual: Floats) -> list[Breakdown]:
             if row.channel != channel:
                 continue
             e, w = residual[row.where], evidence.weight[row.where]
-            energy = np.where(w > 0, e**2 - 1.0, 0.0)
+            energy = np.where(w > 0, e**2 - floor, 0.0)
             direction, amplitude, order = _history(response.temperature)
             pieces["energy"].append(energy)
             pieces["time"].append(part.time_s - part.time_s[0] + offset)
@@ -67,7 +70,7 @@ def breakdown(evidence: Evidence, residual: Floats) -> list[Breakdown]:
             offset += part.time_s[-1] - part.time_s[0] + part.dt
             frequency, power = welch(e, fs=1.0 / part.dt, nperseg=min(1024, part.size), detrend=False)
             share = power / max(float(np.sum(power)), 1e-300) * float(np.sum(e**2))
-            above = np.maximum(share - np.count_nonzero(w) / power.size, 0.0)
+            above = np.maximum(share - floor * np.count_nonzero(w) / power.size, 0.0)
             if spectrum is None:
                 spectrum, frequencies = above, frequency
             else:

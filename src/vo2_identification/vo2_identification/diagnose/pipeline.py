@@ -15,7 +15,7 @@ from vo2_identification.diagnose.base import loop_shapes
 from vo2_identification.diagnose.check import Finding, Unusable, check_recording
 from vo2_identification.diagnose.decide import HeldOut, Thresholds, block_folds, held_out
 from vo2_identification.diagnose.evidence import Evidence, gather
-from vo2_identification.diagnose.explain import Explanation, Score, fit_jointly, score
+from vo2_identification.diagnose.explain import Explanation, Score, fit_jointly, score, switched
 from vo2_identification.diagnose.hypotheses import Hypothesis, hypotheses
 from vo2_identification.diagnose.locate import Breakdown, breakdown
 from vo2_identification.diagnose.next_experiment import propose
@@ -30,10 +30,12 @@ __all__ = ["Study", "diagnose", "study"]
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
-SHORTLIST = 8
+SHORTLIST = 6
 """Hypotheses that are refitted in full."""
 QUIET = 1.4
 """Residual power over noise power up to which a channel's residual is taken for its noise."""
+MOVED = 5.0
+"""Move of a thermal parameter, in standard deviations, that may hide an effect."""
 UNSEEN = 50.0
 """An effect whose typical size would change q by less than this is not excited."""
 
@@ -250,17 +252,35 @@ def _excess(evidence: Evidence, left: Floats, q: float) -> tuple[dict[str, float
 
 
 def _explained(base: Study, clock: _Clock) -> Study:
-    """Search, decide, and judge on held-out blocks."""
+    """Search, decide, and judge on held-out blocks.
+
+    Where the base had to move far to absorb a mismatch, it may have absorbed an effect: hypotheses are then tried
+    about the unmoved simulation as well, and the better of both counts.
+    """
     evidence, limits = base.evidence, base.thresholds
     device = base.nominal.device
     left = evidence.left(evidence.residual)
     candidates = hypotheses(evidence, device, left)
     clock.expected = 2 * sum(len(h.starts) for h in candidates) + 40 * SHORTLIST + 200
     clock.say(f"trying {len(candidates)} effects")
-    scores = score(evidence, candidates, evidence.residual, tick=clock.tick)
+    problems = [evidence]
+    if evidence.origin.size and float(np.max(np.abs(evidence.origin))) > MOVED:
+        problems.append(
+            gather(base.nominal, evidence.parts, shapes=evidence.shapes, loops=evidence.loops, say=clock.say)
+        )
+    scored = [score(problem, candidates, problem.residual, tick=clock.tick) for problem in problems]
+    scores = scored[0]
     clock.say("refitting the most promising")
-    promising = [s for s in scores if s.gain > 0.05 * max(scores[0].gain, 0.0)][:SHORTLIST]
-    singles = [fit_jointly(evidence, [s.hypothesis], [s.start], tick=clock.tick) for s in promising]
+    q_base = evidence.chi_square(evidence.residual)
+    fits: dict[str, Explanation] = {}
+    for problem, ranked in zip(problems, scored, strict=True):
+        for s in [s for s in ranked if s.gain > 0.08 * max(ranked[0].gain, 0.0)][:SHORTLIST]:
+            start = switched(problem, s.hypothesis, s.start, problem.residual, tick=clock.tick)
+            fit = fit_jointly(problem, [s.hypothesis], [start], tick=clock.tick)
+            known = fits.get(s.hypothesis.key)
+            if known is None or fit.chi_square < known.chi_square:
+                fits[s.hypothesis.key] = replace(fit, gain=q_base - fit.chi_square)
+    singles = list(fits.values())
     singles.sort(key=lambda e: e.chi_square + len(e.coordinates) * np.log(evidence.count))
     not_excited = tuple(_not_excited(scores))
     final, chosen, rivals = evidence, None, list(singles)
@@ -269,7 +289,7 @@ def _explained(base: Study, clock: _Clock) -> Study:
     if first is not None and first.gain > limits.gain:
         final, chosen = _relinearised(base, first, clock)
         remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0
-        if final.count * (remaining + 0.1) > 0.02 * chosen.gain:
+        if final.count * remaining > limits.gain:
             pair = _second(base, final, chosen, candidates, clock)
             if pair is not None:
                 final, chosen, rivals, remaining = pair
@@ -279,7 +299,7 @@ def _explained(base: Study, clock: _Clock) -> Study:
     if chosen is not None:
         rest = evidence.count * max(remaining - limits.slack, 0.0)
         complete = chosen.gain / (chosen.gain + rest)
-        shows = judged.drop > limits.share * chosen.gain
+        shows = judged.drop > limits.share * chosen.gain or judged.share > limits.share
         certain = _significant(chosen, limits)
         if chosen.at_bound or not certain or not judged.stable or not shows or complete < limits.complete:
             chosen, final = None, evidence
@@ -295,7 +315,11 @@ def _explained(base: Study, clock: _Clock) -> Study:
                 base, scores=tuple(scores), singles=tuple(singles), judged=judged, remaining_excess=remaining,
                 not_excited=not_excited,
             )  # fmt: skip
-    best = evidence.left(evidence.residual) if chosen is None else _trace(final, chosen)
+    # where it is: where a named effect acts, else where more than noise is left
+    if chosen is None:
+        where = breakdown(evidence, evidence.left(evidence.residual))
+    else:
+        where = breakdown(final, _trace(final), floor=0.0)
     pairs = _rival_pairs(base, chosen, rivals, remaining)
     proposal = None
     if pairs and chosen is not None:
@@ -315,7 +339,7 @@ def _explained(base: Study, clock: _Clock) -> Study:
         outside=outside,
         judged=judged,
         remaining_excess=remaining,
-        breakdown=tuple(breakdown(evidence, best)),
+        breakdown=tuple(where),
         not_excited=not_excited,
     )
 
@@ -344,12 +368,10 @@ def _significant(explanation: Explanation, limits: Thresholds) -> bool:
     return True
 
 
-def _trace(final: Evidence, chosen: Explanation) -> Floats:
-    """What the effects leave in the recording: the residual with the base as it is beside them."""
+def _trace(final: Evidence) -> Floats:
+    """What the named effects change in the recording, without noise."""
     plain = replace(final, included={})
-    without = plain.stack(plain.responses({}), final.nominal_responses)
-    weights = final.absorb(final.residual - chosen.deviation)
-    return final.residual - without - final.base.times(weights)
+    return -plain.stack(plain.responses({}), final.nominal_responses)
 
 
 def _rival_pairs(
@@ -392,37 +414,47 @@ def _relinearised(base: Study, best: Explanation, clock: _Clock) -> tuple[Eviden
 def _second(
     base: Study, about: Evidence, first: Explanation, candidates: Sequence[Hypothesis], clock: _Clock
 ) -> tuple[Evidence, Explanation, list[Explanation], float] | None:
-    """Look for one more effect beside those found; None if no other is worth it."""
+    """Look for one more effect beside those found; None if no other is worth it.
+
+    What an equation of the first that is not quite right leaves over resembles the first: a second effect must
+    explain most of what is left, and must not act like the first.
+    """
     limits = base.thresholds
     clock.say("looking for a second effect")
     taken = set(first.keys)
     others = [h for h in candidates if h.key not in taken]
     residual = about.residual - first.deviation
     scores = score(about, others, residual, tick=clock.tick)
+    before = about.chi_square(residual)
+    needed = max(
+        limits.gain,
+        limits.second * (before - about.count),
+        limits.second_of_all * base.total_excess * about.count,
+    )
     pairs = []
-    for s in scores[:4]:
-        if s.gain <= limits.gain:
-            continue
+    for s in [s for s in scores if s.gain > max(limits.gain, 0.1 * scores[0].gain)][:5]:
+        start = switched(about, s.hypothesis, s.start, residual, tick=clock.tick)
         joint = fit_jointly(
-            about, [*first.hypotheses, s.hypothesis], [*first.values, s.start], iterations=8, tick=clock.tick
+            about, [*first.hypotheses, s.hypothesis], [*first.values, start], iterations=8, tick=clock.tick
         )
         if not joint.at_bound:
             pairs.append(joint)
-    if not pairs:
-        return None
     pairs.sort(key=lambda e: e.chi_square)
-    best = pairs[0]
-    before = about.chi_square(residual)
-    drop = before - best.chi_square
-    left_over = before - about.count
-    needed = max(
-        limits.gain, limits.second * left_over, limits.second_of_all * base.total_excess * about.count
-    )
-    if drop < needed:
+    if not pairs or before - pairs[0].chi_square < needed:
         return None
-    final, chosen = _relinearised(base, best, clock)
+    if _alike(about, pairs[0]) > limits.alike:
+        return None
+    final, chosen = _relinearised(base, pairs[0], clock)
     remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0
     return final, chosen, pairs, remaining
+
+
+def _alike(about: Evidence, joint: Explanation) -> float:
+    """Absolute cosine between what the last effect does and what those before it do, the base taken out."""
+    old = _trace(about)
+    new = about.deviation(joint.hypotheses[-1].effects(joint.values[-1]))
+    size = about.chi_square(old) * about.chi_square(new)
+    return float(abs(old @ about.left(new)) / np.sqrt(size)) if size > 0 else 1.0
 
 
 def _not_excited(scores: Sequence[Score]) -> list[str]:

@@ -80,7 +80,7 @@ def _structure(c, x, mode, deflection, period):
     value = deflection
     if c[C.CREEP] != 0.0:
         x[S.CREPT] += -math.expm1(-period / c[C.CREEP_TIME]) * (deflection - x[S.CREPT])
-        value += c[C.CREEP] * (x[S.CREPT] - deflection)
+        value += c[C.CREEP] * (x[S.CREPT] - deflection) + c[C.CREEP_GAIN] * deflection
     if c[C.MODE_SHARE] != 0.0:
         z, r, last = x[S.MODE], x[S.MODE_RATE], x[S.MODE_INPUT]
         x[S.MODE] = mode[0, 0] * z + mode[0, 1] * r + mode[0, 2] * last + mode[0, 3] * value

@@ -46,6 +46,7 @@ class Coefficient(IntEnum):
     COOLING_RATIO = auto()  # 1: time constant of cooling = (1 + ratio) of heating
     SLOW_SHARE = auto()  # 1: part of the gain that arrives through the slow mode
     SLOW_TIME = auto()  # s
+    SLOW_GAIN = auto()  # 1: change of the steady gain that comes with the slow mode
     LOSS = auto()  # K^(1 - exponent)
     LOSS_EXPONENT = auto()  # 1
     PHASE_LOSS = auto()  # 1
@@ -76,6 +77,7 @@ class Coefficient(IntEnum):
     HOT_EXPANSION = auto()  # m/K
     CREEP = auto()  # 1
     CREEP_TIME = auto()  # s
+    CREEP_GAIN = auto()  # 1: change of the resting deflection that comes with creep
     MODE_SHARE = auto()  # 1
     MODE_FREQUENCY = auto()  # Hz
     MODE_DAMPING = auto()  # 1

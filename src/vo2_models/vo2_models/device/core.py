@@ -273,18 +273,19 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
     ramp = 0.0
     if c[C.KINETICS] > 0.0:
         ramp = -math.expm1(-h / c[C.KINETICS]) * c[C.KINETICS] / h
-    # stage = (1 - share) fast + share (slow + ambient); the film sits a little above its stage
+    # stage rise = (1 - share + gain) fast rise + share slow; the film sits a little above its stage
     share = c[C.SLOW_SHARE]
+    kept = 1.0 - share + c[C.SLOW_GAIN]
     before = x[S.FAST]
     fast = before + heat
     if c[C.LATENT] != 0.0:
-        rest = share * (x[S.SLOW] + background) + film_extra + shift
+        rest = share * x[S.SLOW] + (1.0 - kept) * background + film_extra + shift
         fast = _solve_latent(
-            kind, lead, c, x, heat, ramp, 1.0 - share, rest, packed_r, packed_d, play_r, play_d, levels, domains,
+            kind, lead, c, x, heat, ramp, kept, rest, packed_r, packed_d, play_r, play_d, levels, domains,
             metallic,
         )  # fmt: skip
     x[S.FAST] = fast
-    x[S.STAGE] = fast + share * (x[S.SLOW] + background - fast)
+    x[S.STAGE] = fast + (kept - 1.0) * (fast - background) + share * x[S.SLOW]
     film = x[S.STAGE] + film_extra
     x[S.FILM] = film
     if c[C.TRAINING] != 0.0:

@@ -10,18 +10,20 @@ EFFECT = Effect(
     parameters=(
         constant_of("share", 0, "1", "part of the deflection that creeps", -0.5, 0.9),
         constant_of("time_constant", 1, "s", "time constant of the creep", 1e-4, 1e6),
+        constant_of("gain", 0, "1", "change of the resting deflection that comes with it", -0.5, 0.9),
     ),
-    apply=setting(share=Coefficient.CREEP, time_constant=Coefficient.CREEP_TIME),
+    apply=setting(share=Coefficient.CREEP, time_constant=Coefficient.CREEP_TIME, gain=Coefficient.CREEP_GAIN),
     channels=(TIP_DEFLECTION,),
     typical={
         "integrated": {"share": (0.03, 0.12), "time_constant": (0.05, 0.5)},
         "peltier": {"share": (0.03, 0.12), "time_constant": (60.0, 200.0)},
     },
-    equation="D_measured = (1 - share) D + share x; tau dx/dt = D - x",
+    equation="D_measured = (1 + gain - share) D + share x; tau dx/dt = D - x",
     excitation="steps held for several creep time constants",
     source="standard linear solid; section 5.1.2 looked for it and found none",
     statement=(
         "Glue, polymer or grain boundaries give way slowly under the bending moment: after a step the "
-        "deflection runs on while resistance and temperature have long settled."
+        "deflection runs on while resistance and temperature have long settled. With gain = 0 a part of the known "
+        "deflection is late, with gain = share the late part comes on top of it."
     ),
 )

@@ -16,14 +16,17 @@ EFFECT = Effect(
             0.5,
         ),
         constant_of("time_constant", 1, "s", "time constant of the slow path", 1e-4, 1e5),
+        constant_of("gain", 0, "1", "change of the steady gain that comes with it", -0.5, 0.5),
     ),
-    apply=setting(share=Coefficient.SLOW_SHARE, time_constant=Coefficient.SLOW_TIME),
+    apply=setting(
+        share=Coefficient.SLOW_SHARE, time_constant=Coefficient.SLOW_TIME, gain=Coefficient.SLOW_GAIN
+    ),
     channels=HEAT,
     typical={
         "integrated": {"share": (0.02, 0.08), "time_constant": (0.03, 0.3)},
         "peltier": {"share": (0.02, 0.08), "time_constant": (80.0, 250.0)},
     },
-    equation="T = T0 + (1 - share) theta_1 + share theta_2; tau_2 dtheta_2/dt = k1 i + k2 i^2 - theta_2",
+    equation="T = T0 + (1 + gain - share) theta_1 + share theta_2; tau_2 dtheta_2/dt = k1 i + k2 i^2 - theta_2",
     excitation="steps held for several times the slow time constant",
     source=(
         "mismatch table of the project; two-body thermal networks, e.g. the substrate behind the cantilever's "
