@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from vo2_models.effects import effect
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
-from vo2_identification.diagnose.decide import Thresholds
 from vo2_identification.diagnose.noise import level_from_differences
 from vo2_identification.measured.candidates import LAG, PIEZO, RATE_INDEPENDENT, VO2, Candidate
 from vo2_identification.measured.cases import Case
@@ -25,6 +24,12 @@ from vo2_identification.measured.laws import LawResult, compare_laws
 __all__ = ["Fold", "Judgement", "SetStudy", "study_set"]
 
 Floats = NDArray[np.float64]
+COMPLETE = 0.85
+"""Least share of the excess on held-out data that a named effect explains."""
+SIGMAS = 4.0
+"""Least distance of its magnitude from nothing, in standard deviations."""
+ALIKE = 1.15
+"""Rivals with a held-out error within this factor are not told apart."""
 TRAINED_SHARE = 0.6
 """Part of a single recording that is fitted; the rest is predicted."""
 _SIMPLE = (RATE_INDEPENDENT.id, LAG.id)
@@ -152,10 +157,12 @@ def study_set(
     head, rest = judgements[:2], sorted(judgements[2:], key=lambda j: j.held)
     complete = [j for j in rest if j.candidate.in_catalogue and len(j.fits) == len(folds)]
     chosen = min(complete, key=lambda j: j.training)
-    reasons = _doubts(chosen, rest)
     rivals = tuple(
-        j.candidate.id for j in complete if j is not chosen and j.gain > 0.25 and j.held < 1.15 * chosen.held
+        j.candidate.id for j in complete if j is not chosen and j.gain > 0.25 and j.held < ALIKE * chosen.held
     )
+    reasons = _doubts(chosen, rest)
+    if rivals:
+        reasons.append(f"{' and '.join(rivals)} predicts about as well and is not told apart")
     laws = () if single else tuple(compare_laws(case) for case in cases)
     return SetStudy(
         key,
@@ -260,18 +267,17 @@ def _finite(values: Floats) -> Floats:
 
 def _doubts(chosen: Judgement, others: Sequence[Judgement]) -> list[str]:
     """Why the chosen effect is not named; empty where it is."""
-    limits = Thresholds()
     name = chosen.candidate.id
     found = []
-    if chosen.gain < limits.complete:
+    if chosen.gain < COMPLETE:
         found.append(
-            f"a name must explain {100 * limits.complete:.0f} % of the excess on held-out data, {name} removes "
+            f"a name must explain {100 * COMPLETE:.0f} % of the excess on held-out data, {name} removes "
             f"{100 * chosen.gain:.0f} %"
         )
     bound = sorted({text for fit in chosen.fits for text in fit.at_bound})
     if bound:
         found.append(f"{', '.join(bound)} ended at a physical bound")
-    found += _unstable(chosen, limits.sigmas)
+    found += _unstable(chosen, SIGMAS)
     better = [j for j in others if not j.candidate.in_catalogue and j.held**2 < 0.5 * chosen.held**2]
     if better:
         found.append(

@@ -22,7 +22,7 @@ __all__ = [
 
 
 NOTHING = 0.25
-"""Share of the excess below which an explanation explains nothing; as in the diagnosis."""
+"""Share of the excess below which an explanation explains nothing."""
 
 
 def unit_of(study: SetStudy) -> str:
@@ -53,8 +53,6 @@ def verdict(study: SetStudy) -> str:
             f"Not named, but not nothing: of the catalogue {name} fits best and lowers the held-out error from "
             f"{errors(chosen)}, {100 * chosen.gain:.0f} % of the excess; however, {'; '.join(study.reasons)}"
         ]
-    if study.rivals:
-        text.append(f"{' and '.join(study.rivals)} predicts about as well and is not told apart")
     if best is not chosen and best.candidate.id not in ("one_lag", "rate_independent"):
         kind = (
             "effect of the catalogue"
