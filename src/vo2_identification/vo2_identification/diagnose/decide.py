@@ -7,7 +7,7 @@ come from; they are in `Thresholds`, each with what it guards against.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,6 +108,15 @@ def held_out(
     tick : called once per simulation
     """
     nominal = evidence if reference is None else reference
+    temperature = np.empty(nominal.weight.size)
+    for row, _, response in nominal.iterate():
+        temperature[row.where] = response.temperature
+
+    def reached(training: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Where the training blocks have been: at other temperatures nothing was fitted that could be judged."""
+        seen = temperature[training & (nominal.weight > 0)]
+        return np.asarray((temperature > seen.min() - 0.5) & (temperature < seen.max() + 0.5))
+
     q_nominal = nominal.chi_square(nominal.residual)
     before_energy = after_energy = 0.0
     count = 0
@@ -129,7 +138,7 @@ def held_out(
         plainly = nominal.restricted(~held)
         rest = evidence.residual - change
         with_it = rest - evidence.base.times(weights)
-        use = held & (evidence.weight > 0)
+        use = held & (evidence.weight > 0) & reached(~held)
         # q of all minus q of the training blocks: how unlikely the held-out blocks are, given the others
         before_energy += q_nominal - plainly.chi_square(plainly.residual)
         after_energy += evidence.chi_square(rest) - training.chi_square(np.where(held, 0.0, rest))
@@ -157,21 +166,33 @@ def held_out(
         root["before"],
         root["after"],
         floor,
-        _stable(explanation, estimates),
+        _stable(evidence, explanation, estimates),
     )
 
 
-def _stable(explanation: Explanation | None, estimates: Sequence[Sequence[dict[str, float]]]) -> bool:
-    """Whether both folds find the same sign and, within a factor of two, the same size of the magnitudes."""
+def _stable(
+    evidence: Evidence, explanation: Explanation | None, estimates: Sequence[Sequence[dict[str, float]]]
+) -> bool:
+    """Whether both folds find that every effect does the same, within a factor of two and a half in size."""
     if explanation is None or len(estimates) < 2:
         return True
+    plain = replace(evidence, included={})
     for index, hypothesis in enumerate(explanation.hypotheses):
-        magnitudes = [n for n in explanation.values[index] if not hypothesis.logarithmic(n)]
-        if not magnitudes:
+        free = [n for n in explanation.values[index] if not hypothesis.logarithmic(n)]
+        shaped = len(explanation.values[index]) - len(free)
+        if free and not shaped:
+            name = max(free, key=lambda n: abs(explanation.values[index][n]) / hypothesis.scales[n])
+            first, second = (fold[index][name] for fold in estimates)
+            if first * second <= 0 or not 0.4 < first / second < 2.5:
+                return False
             continue
-        name = max(magnitudes, key=lambda n: abs(explanation.values[index][n]) / hypothesis.scales[n])
-        first, second = (fold[index][name] for fold in estimates)
-        if first * second <= 0 or not 0.4 < first / second < 2.5:
+        # a magnitude means little without its shape: compare what the effect does
+        without = plain.responses({})
+        one, other = (
+            evidence.stack(plain.responses(hypothesis.effects(fold[index])), without) for fold in estimates
+        )
+        size = float(np.sqrt((one @ one) * (other @ other)))
+        if size <= 0 or one @ other < 0.7 * size or not 0.16 < (one @ one) / (other @ other) < 6.25:
             return False
     return True
 
