@@ -255,3 +255,15 @@ def test_driver_effects_show_in_the_logged_current():
     run = truth("integrated", effects={"driver_slew": {"rate": 1.0}}).simulate(command, noise=False)
     assert np.max(np.abs(np.diff(run[HEATER_CURRENT]))) == pytest.approx(1e-3)
     assert run[HEATER_CURRENT][9] == 4e-3 and run[HEATER_CURRENT][19] == 8e-3
+
+
+def test_a_second_thermal_mode_may_raise_the_steady_gain():
+    held = np.full(4000, 4.5e-3)
+    base, kept = _pair("second_thermal_mode", "integrated", held, share=0.05, time_constant=0.1)
+    _, raised = _pair("second_thermal_mode", "integrated", held, share=0.05, time_constant=0.1, gain=0.05)
+    rise = base["true_temperature"] - 22.0
+    assert abs(kept["true_temperature"][-1] - base["true_temperature"][-1]) < 1e-6 * rise[-1]
+    assert np.isclose(raised["true_temperature"][-1] - 22.0, 1.05 * rise[-1], rtol=1e-6)
+    # right after the step, when the slow path has not moved, only the fast one is there
+    assert np.isclose(kept["true_temperature"][12] - 22.0, 0.95 * rise[12], rtol=0.01)
+    assert np.isclose(raised["true_temperature"][12] - 22.0, rise[12], rtol=0.01)

@@ -75,6 +75,8 @@ def test_creep(clean):
     slow = rest + lfilter([1 - decay], [1, -decay], d - rest)
     found = _with("creep", share=0.2, time_constant=0.1)["true_tip_deflection"]
     assert np.allclose(found, 0.8 * d + 0.2 * slow, rtol=1e-9)
+    on_top = _with("creep", share=0.2, time_constant=0.1, gain=0.2)["true_tip_deflection"]
+    assert np.allclose(on_top, d + 0.2 * slow, rtol=1e-9)
 
 
 def test_resonance_solves_the_oscillator(clean):

@@ -1,0 +1,122 @@
+"""What the base of a diagnosis is built of, against plain references written from the definitions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+from scipy.signal import lfilter
+from vo2_identification.diagnose.base import _block_covariance
+from vo2_identification.diagnose.evidence import gather
+from vo2_identification.diagnose.explain import switched
+from vo2_identification.diagnose.hypotheses import Hypothesis
+from vo2_identification.diagnose.noise import NoiseModel
+from vo2_identification.diagnose.nominal import Nominal
+from vo2_identification.diagnose.part import prepare
+from vo2_identification.diagnose.tangent import Tangent
+from vo2_models.device import DeviceModel
+from vo2_models.device.bank import PlayBank
+from vo2_models.effects import effects
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, Recording
+
+
+def _model() -> Nominal:
+    bank = PlayBank([0.5], [0.0], [0.2], [-12.4], [0.2], [-11.0], [-4.7, 0.001])
+    return Nominal.from_parameters(DeviceModel("integrated", resistance=bank).to_parameters())
+
+
+def _blocks() -> tuple[Tangent, np.ndarray]:
+    rng = np.random.default_rng(5)
+    first, second, thermal = rng.normal(size=(6, 3)), rng.normal(size=(5, 2)), rng.normal(size=(13, 2))
+    dense = np.zeros((13, 7))
+    dense[:6, :3], dense[6:11, 3:5], dense[:, 5:] = first, second, thermal
+    return Tangent(((slice(0, 6), first), (slice(6, 11), second)), thermal), dense
+
+
+def test_a_tangent_in_blocks_is_the_dense_matrix() -> None:
+    tangent, dense = _blocks()
+    rng = np.random.default_rng(6)
+    vectors, weights = rng.normal(size=(13, 4)), rng.normal(size=(7, 2))
+    assert tangent.shape == dense.shape
+    assert np.allclose(tangent.gram(), dense.T @ dense)
+    assert np.allclose(tangent.against(vectors), dense.T @ vectors)
+    assert np.allclose(tangent.against(vectors[:, 0]), dense.T @ vectors[:, 0])
+    assert np.allclose(tangent.times(weights), dense @ weights)
+    keep = rng.random(13) > 0.4
+    assert np.allclose(tangent.restricted(keep).gram(), (dense * keep[:, None]).T @ (dense * keep[:, None]))
+    rows = slice(6, 11)
+    padded = np.zeros((13, 4))
+    padded[rows] = vectors[rows]
+    assert np.allclose(tangent.against_rows(rows, vectors[rows]), dense.T @ padded)
+    assert np.allclose(tangent.times_rows(rows, weights), (dense @ weights)[rows])
+
+
+def _autocovariance(noise: NoiseModel, size: int) -> np.ndarray:
+    impulse = np.zeros(4000)
+    impulse[0] = noise.innovation
+    h = lfilter([1.0], [1.0, *(-a for a in noise.ar)], impulse)
+    return np.array([h[: h.size - k] @ h[k:] for k in range(size)])
+
+
+@pytest.mark.parametrize("ar", [(), (0.6,), (0.3, 0.4)])
+def test_variance_of_sums_of_coloured_noise(ar) -> None:
+    noise = NoiseModel(0.7, ar)
+    full = toeplitz(_autocovariance(noise, 40))
+    expected = [full[:n, :n].sum() for n in range(41)]
+    assert np.allclose(noise.variance_of_sums(40), expected, rtol=1e-9)
+
+
+def test_covariance_of_block_means_is_that_of_the_series() -> None:
+    noise, count = NoiseModel(0.5, (0.7,)), np.array([3.0, 5.0, 1.0, 4.0])
+    series = toeplitz(_autocovariance(noise, 13))
+    mean = np.zeros((4, 13))
+    for k, (a, b) in enumerate([(0, 3), (3, 8), (8, 9), (9, 13)]):
+        mean[k, a:b] = 1.0 / (b - a)
+    expected = mean @ series @ mean.T
+    banded = _block_covariance(noise, count, band=4)
+    for lag in range(4):
+        assert np.allclose(banded[lag, : 4 - lag], (1 - lag / 4) * np.diag(expected, -lag), rtol=1e-9)
+
+
+def _drive(size: int = 1200) -> np.ndarray:
+    steps = np.repeat(np.random.default_rng(3).uniform(4e-3, 8.4e-3, size // 40), 40)
+    return np.ascontiguousarray(steps)
+
+
+@pytest.mark.parametrize(("name", "parameter"), [("clock_offset", "delay"), ("sensor_lag", "time_constant")])
+def test_a_late_sensor_sees_what_happens_between_samples(name, parameter) -> None:
+    nominal, current, dt, late = _model(), _drive(), 1e-3, 0.4e-3
+    found = nominal.respond(
+        current, dt, effects={f"{name}:film_resistance": {"signal": RESISTANCE, parameter: late}}
+    )
+    parts = 200
+    fine = 10.0 ** nominal.respond(np.repeat(current, parts), dt / parts).channels[RESISTANCE]
+    if name == "clock_offset":
+        exact = np.r_[np.full(80, fine[0]), fine][: fine.size]  # 0.4 ms are 80 fine samples
+    else:
+        keep = np.exp(-dt / parts / late)
+        exact = lfilter([1 - keep], [1, -keep], fine, zi=[keep * fine[0]])[0]
+    exact = np.log10(exact[parts - 1 :: parts])
+    between_samples_only = nominal.respond(current, dt).channels[RESISTANCE]
+    rough = np.interp(np.arange(current.size) - 0.4, np.arange(current.size), between_samples_only)
+    error = np.abs(found.channels[RESISTANCE] - exact)[100:].max()
+    assert error < 0.1 * np.abs(between_samples_only - exact)[100:].max()
+    assert error < 0.5 * np.abs(rough - exact)[100:].max()
+
+
+def test_switching_times_are_found_by_search() -> None:
+    nominal, current, dt = _model(), _drive(3000), 1e-3
+    nominal = replace(nominal, noise={RESISTANCE: NoiseModel(1e-3)})
+    laser = {"rise": 0.8, "start": 0.731, "stop": 1.862}
+    shown = nominal.respond(current, dt, effects={"laser_heating": laser}).channels[RESISTANCE]
+    shown = shown + 1e-3 * np.random.default_rng(1).normal(size=shown.size)
+    recording = Recording(
+        dt * np.arange(current.size), {HEATER_CURRENT: current, RESISTANCE: 10.0**shown}, "integrated"
+    )
+    evidence = gather(nominal, [prepare(recording, nominal)])
+    hypothesis = Hypothesis(effects()["laser_heating"], "", (), {"rise": 0.1, "start": 0.01, "stop": 0.01})
+    start = {"rise": 2.0, "start": 0.5, "stop": 2.2}
+    found = switched(evidence, hypothesis, start, evidence.residual)
+    assert abs(found["start"] - 0.731) < 0.02  # from 0.23 and 0.34 s off
+    assert abs(found["stop"] - 1.862) < 0.02  # from 0.23 and 0.34 s off
+    assert 0.4 < found["rise"] < 1.2
