@@ -6,14 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from vo2_identification.measured import fitting
-from vo2_identification.measured.candidates import LAG, RATE_INDEPENDENT, VO2, Candidate, Extra
+from vo2_identification.measured.candidates import LAG, PIEZO, RATE_INDEPENDENT, VO2, Candidate, Extra
 from vo2_identification.measured.cases import Case, cases_of, drive_share, with_share
+from vo2_identification.measured.figures import error_figure, piezo_figure
 from vo2_identification.measured.fitting import Setting, fit_candidate, fit_lag
 from vo2_identification.measured.report import SetReport, write_report
 from vo2_identification.measured.sources import Source, Trace
 from vo2_identification.measured.study import study_set
 from vo2_identification.measured.where import decades, line_of, rms_over_time
-from vo2_models.recording import HEATER_CURRENT, RESISTANCE, Recording
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 DT = 1e-3
 SETTING = Setting(RESISTANCE, True, 4, 0.01, (0.003, 0.01), steps=20)
@@ -184,3 +185,24 @@ def test_pulses_are_not_judged_and_reading_is_no_drive():
     # power, not voltage: the two are as the squares of the voltages
     assert drive_share(low.recording[HEATER_CURRENT]).max() == pytest.approx(16.0 / 36.0)
     assert np.nanmax(high.since_s) < 0.1
+
+
+def test_one_recording_is_split_in_time_and_drawn():
+    time = 0.02 * np.arange(600)
+    voltage = 1.8 + 1.8 * np.sin(2 * np.pi * time)
+    # bending proportional to the voltage, with a creep that grows with the logarithm of time
+    tip = 1e-5 * voltage + 5e-7 * np.log1p(time / 0.5) + 2e-8 * np.random.default_rng(4).normal(size=600)
+    trace = Trace("1", Recording(time, {"heater_voltage": voltage, TIP_DEFLECTION: tip}, "piezo"), None, ())
+    cases = cases_of("piezo", [trace])
+    assert drive_share(cases[0].recording[HEATER_CURRENT]) == pytest.approx(voltage / voltage.max(), abs=1e-9)
+    setting = Setting(TIP_DEFLECTION, False, 2, 1e-7, (0.01,), steps=15)
+    wanted = [c for c in PIEZO if c.id in ("creep", "logarithmic_creep")]
+    found = study_set("piezo", cases, candidates=wanted, setting=setting)
+    held = found.folds[0].held[0].recording[TIP_DEFLECTION]
+    assert np.count_nonzero(np.isfinite(held)) == 240
+    assert not np.isfinite(held[:360]).any()
+    law = found.of("logarithmic_creep")
+    assert law.gain > 0.8
+    assert law.fits[0].values["size"] == pytest.approx(5e-7, rel=0.2)
+    for figure in (piezo_figure(found), error_figure(found)):
+        assert "<svg" in figure

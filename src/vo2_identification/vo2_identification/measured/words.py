@@ -66,7 +66,7 @@ def verdict(study: SetStudy) -> str:
             )
     elif best is not chosen:
         text.append("No candidate predicts what was held out better than the simple models")
-    return ". ".join(text) + "."
+    return " ".join(part if part.endswith(".") else f"{part}." for part in text)
 
 
 def across_sets(studies: Sequence[SetStudy]) -> list[str]:
