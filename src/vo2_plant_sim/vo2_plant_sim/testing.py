@@ -99,7 +99,8 @@ class Bench:
         return "", {}
 
     def close(self) -> None:
-        """Destroy all nodes."""
+        """Destroy all nodes, and let the executor go, which would keep their links alive."""
+        self.executor.shutdown()
         for node in [*self._closing, self.node]:
             node.destroy_node()
 
