@@ -14,7 +14,7 @@ from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 from vo2_identification.diagnose.noise import NoiseModel
 from vo2_identification.diagnose.nominal import Nominal, basis_of
 
-__all__ = ["LoopShape", "loop_shapes", "thermal_spread"]
+__all__ = ["LoopShape", "covered_range", "loop_shapes", "thermal_spread"]
 
 Floats = NDArray[np.float64]
 DOMAINS = (1e3, 4e3, 1.6e4, 1e6)
@@ -114,6 +114,30 @@ def loop_shapes(nominal: Nominal) -> dict[str, LoopShape]:
         assert best is not None
         found[channel] = best[1]
     return found
+
+
+def covered_range(nominal: Nominal, *, samples: float = 8.0) -> tuple[float, float]:
+    """Temperatures [degC] between which the calibration has `samples` samples in every kelvin.
+
+    Beyond, on the way from a cold rest for instance, the fitted loops are a guess, and a recording that differs there
+    says nothing about the device. Everything is covered where the model file has no digest.
+    """
+    digest = nominal.digest
+    if digest is None:
+        return -np.inf, np.inf
+    low = np.minimum(digest.temperature[1:], digest.temperature[:-1])
+    high = np.maximum(digest.temperature[1:], digest.temperature[:-1])
+    edges = np.arange(np.floor(low.min()), np.ceil(high.max()) + 1.0)
+    # a block's samples, spread evenly over its temperatures
+    shares = np.minimum(high[:, None], edges[1:]) - np.maximum(low[:, None], edges[:-1])
+    shares = np.maximum(shares, 0.0) / np.maximum(high - low, 1e-9)[:, None]
+    enough = digest.count @ shares >= samples
+    middle = int(np.argmax(digest.count @ shares))
+    below = np.flatnonzero(~enough[:middle])
+    above = np.flatnonzero(~enough[middle:])
+    first = below[-1] + 1 if below.size else 0
+    last = middle + above[0] if above.size else enough.size
+    return float(edges[first]), float(edges[last])
 
 
 def _block_covariance(noise: NoiseModel, count: Floats, *, band: int = 12) -> Floats:

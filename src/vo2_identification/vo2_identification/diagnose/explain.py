@@ -14,6 +14,8 @@ from vo2_identification.diagnose.hypotheses import Hypothesis
 __all__ = ["Explanation", "Score", "fit_jointly", "score", "switched"]
 
 Floats = NDArray[np.float64]
+SHORTEST = 0.05
+"""Shortest time between switching on and off, as a share of the recording."""
 BATCH = 32
 """Simulations judged together; one matrix product serves them all."""
 
@@ -196,6 +198,8 @@ def switched(
     step = length / 20
     while step > max(part.dt for part in evidence.parts):
         trials = [{**values, n: values[n] + sign * step} for n in names for sign in (1.0, -1.0)]
+        if len(names) == 2:  # what is on for a moment only is no change of the rig but a disturbance
+            trials = [t for t in trials if t[names[1]] - t[names[0]] > SHORTEST * length] or [values]
         found = judged(trials)
         place = max(range(len(trials)), key=lambda k: found[k][0])
         if found[place][0] > best:

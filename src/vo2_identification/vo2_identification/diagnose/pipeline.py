@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vo2_models.parameters import Value
 from vo2_models.recording import Recording
 
-from vo2_identification.diagnose.base import loop_shapes
+from vo2_identification.diagnose.base import covered_range, loop_shapes
 from vo2_identification.diagnose.check import Finding, Unusable, check_recording
 from vo2_identification.diagnose.decide import HeldOut, Thresholds, block_folds, held_out
 from vo2_identification.diagnose.evidence import Evidence, gather
@@ -148,6 +148,7 @@ def study(
         parts.append(prepare(recording, nominal, name=name))
     evidence = gather(nominal, parts, say=clock.say)
     evidence = _started(evidence, nominal, clock)
+    evidence = _covered(evidence, nominal, findings, clock)
     evidence = _settled_thermal(nominal, evidence, clock)
     nominal, evidence = _recoloured(nominal, evidence, clock)
     evidence = _settled_thermal(nominal, evidence, clock)
@@ -185,6 +186,35 @@ def _started(evidence: Evidence, nominal: Nominal, clock: _Clock) -> Evidence:
             parts[index] = replace(part, settled=True)
     if all(new is old for new, old in zip(parts, evidence.parts, strict=True)):
         return evidence
+    return gather(nominal, parts, shapes=evidence.shapes, say=clock.say)
+
+
+def _covered(evidence: Evidence, nominal: Nominal, findings: list[Finding], clock: _Clock) -> Evidence:
+    """Leave out what happens at temperatures that the calibration did not cover."""
+    low, high = covered_range(nominal)
+    parts, beyond, count = [], 0, 0
+    for part, response in zip(evidence.parts, evidence.nominal_responses, strict=True):
+        inside = (response.temperature >= low) & (response.temperature <= high)
+        beyond, count = beyond + int(np.count_nonzero(~inside)), count + part.size
+        valid = {
+            channel: good & inside if channel in evidence.shapes else good
+            for channel, good in part.valid.items()
+        }
+        parts.append(replace(part, valid=valid))
+    if not beyond:
+        return evidence
+    if count - beyond < 100:
+        raise Unusable(
+            f"recordings: {beyond} of {count} samples are outside of {low:.0f} to {high:.0f} degC, which is what the "
+            "calibration covers; fit a calibration that covers them"
+        )
+    findings.append(
+        Finding(
+            "beyond",
+            f"{100 * beyond / count:.1f} % of the samples are at temperatures outside of {low:.0f} to {high:.0f} degC, "
+            "which the calibration hardly covers: they are not judged",
+        )
+    )
     return gather(nominal, parts, shapes=evidence.shapes, say=clock.say)
 
 
