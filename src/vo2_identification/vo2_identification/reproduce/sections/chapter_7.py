@@ -18,7 +18,7 @@ from vo2_models.excitation import random_levels
 from vo2_models.recording import RESISTANCE
 from vo2_models.self_sensing import CompositeSelfSensing, PolynomialSelfSensing, self_sensing
 
-from vo2_identification.reproduce.claims import Claim, Context, Section, at_most
+from vo2_identification.reproduce.claims import Claim, Context, Rule, Section, at_most
 from vo2_identification.reproduce.figures import draw
 from vo2_identification.reproduce.identified import identify
 from vo2_identification.reproduce.pool import run_many
