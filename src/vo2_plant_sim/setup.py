@@ -6,7 +6,7 @@ NAME = "vo2_plant_sim"
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version="0.2.0",
     packages=find_packages(exclude=["test"]),
     package_data={NAME: ["py.typed", "**/*.yaml", "**/*.css", "**/*.xml"]},
     data_files=[

@@ -5,10 +5,16 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Self
 
-__all__ = ["main"]
+if TYPE_CHECKING:
+    from vo2_models.parameters import Value
+
+    from vo2_identification.diagnose.result import Diagnosis, NextExperiment
+
+__all__ = ["continue_with_next", "diagnose_bags", "main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -28,51 +34,145 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--next",
         action="store_true",
-        help="not done yet: say that the proposed experiment is not played; play it with the identifier instead",
+        help="play the proposed experiment on the device that runs in the graph, record it into DIR/next, and diagnose "
+        "all recordings together into DIR/with_next",
     )
+    parser.add_argument("--namespace", default="/vo2", help="of the loop, for --next. Default: /vo2.")
     parser.add_argument("--quiet", action="store_true", help="no progress")
     options = parser.parse_args(arguments)
-    began = time.perf_counter()
+    try:
+        return _run(options)
+    except (ValueError, OSError) as error:
+        print(f"diagnose: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("diagnose: interrupted", file=sys.stderr)
+        return 130
+
+
+def _run(options: argparse.Namespace) -> int:
+    output = Path(options.output)
+    if options.next:
+        _prepare_next(output)
     # after the arguments: a wrong option must not wait for the compiler
     from vo2_models.model_file import load_model_parameters
 
+    parameters = load_model_parameters(options.model)
+    diagnosis = diagnose_bags(options.bag, parameters, output, quiet=options.quiet)
+    if not options.next:
+        return 0
+    return continue_with_next(
+        diagnosis.next_experiment,
+        options.bag,
+        parameters,
+        output,
+        namespace=options.namespace,
+        quiet=options.quiet,
+    )
+
+
+def diagnose_bags(
+    bags: Sequence[str | Path], parameters: Mapping[str, Value], output: Path, *, quiet: bool = False
+) -> Diagnosis:
+    """Diagnose bags together, write the results into `output`, print the summary, and return the diagnosis.
+
+    Raises
+    ------
+    ValueError, OSError : what cannot be used, in one line.
+    """
     from vo2_identification.bags import read_recording
     from vo2_identification.diagnose.files import write_results
     from vo2_identification.diagnose.pipeline import study
 
-    progress = _Progress(silent=options.quiet or not sys.stderr.isatty())
-    try:
-        parameters = load_model_parameters(options.model)
-        recordings, problems = [], []
-        for bag in options.bag:
-            recording, found = read_recording(bag)
-            recordings.append(recording)
-            problems += [f"{bag}: {problem}" for problem in found]
+    began = time.perf_counter()
+    recordings, problems = [], []
+    for bag in bags:
+        recording, found = read_recording(bag)
+        recordings.append(recording)
+        problems += [f"{bag}: {problem}" for problem in found]
+    with _Progress(quiet=quiet) as progress:
         result = study(recordings, parameters, progress=progress)
-        progress.done()
-        diagnosis = write_results(
-            result, Path(options.output), problems=problems, seconds=time.perf_counter() - began
-        )
-    except (ValueError, OSError) as error:
-        progress.done()
-        print(f"diagnose: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+        diagnosis = write_results(result, output, problems=problems, seconds=time.perf_counter() - began)
     print(diagnosis.summary)
-    print(f"report: {Path(options.output) / 'report.html'}")
-    if options.next:
-        print(
-            "diagnose: --next does not play the experiment yet; play next_experiment of diagnosis.json with the "
-            "identifier, record it, and give both bags with --bag",
-            file=sys.stderr,
+    print(f"report: {output / 'report.html'}", flush=True)
+    return diagnosis
+
+
+def _prepare_next(output: Path) -> None:
+    """Refuse now what would fail only after the first diagnosis."""
+    for name in ("next", "with_next"):
+        if (output / name).exists():
+            raise ValueError(f"{output / name}: exists already from an earlier --next, need another --output")
+    try:
+        # before anything else: the ROS wheels start Python anew when they are first imported
+        import rclpy  # noqa: F401
+    except ImportError as error:
+        raise ValueError(f"--next needs ROS 2: {error}") from error
+
+
+def continue_with_next(
+    experiment: NextExperiment | None,
+    bags: Sequence[str | Path],
+    parameters: Mapping[str, Value],
+    output: Path,
+    *,
+    namespace: str = "/vo2",
+    quiet: bool = False,
+) -> int:
+    """Play what a diagnosis of `bags` proposes, record it, and diagnose it together with them.
+
+    Returns
+    -------
+    int : exit status of the command: 0, or 130 if the experiment was interrupted.
+
+    Raises
+    ------
+    ValueError, OSError : no device to play it on, or a recording that cannot be used.
+    """
+    if experiment is None:
+        print("--next: nothing is left to separate; no experiment is played")
+        return 0
+    if experiment.excitation is None:
+        print(f"--next: no excitation can separate {' and '.join(experiment.separates)}; do this by hand:")
+        print(experiment.instruction)
+        return 0
+    from vo2_identification.bags import read_recording
+    from vo2_identification.diagnose.play import play
+
+    print(f"--next: playing an experiment that separates {' and '.join(experiment.separates)}", flush=True)
+    recording, _ = read_recording(bags[0])
+    bag = output / "next"
+    with _Progress(quiet=quiet) as progress:
+        complete = play(
+            experiment.excitation,
+            bag,
+            device=str(parameters["model.device"]),
+            sample_period_s=recording.sample_period_s,
+            namespace=namespace,
+            progress=progress,
         )
+    if not complete:
+        kept = f"what was recorded is in {bag}" if bag.exists() else "nothing was recorded"
+        print(f"diagnose: interrupted; the device is at the safe current, {kept}", file=sys.stderr)
+        return 130
+    print(f"recorded: {bag}", flush=True)
+    diagnose_bags([*bags, bag], parameters, output / "with_next", quiet=quiet)
     return 0
 
 
 class _Progress:
     """One line on a terminal: share done, what is being done, remaining time."""
 
-    def __init__(self, *, silent: bool) -> None:
-        self.silent, self.began, self.width = silent, time.perf_counter(), 0
+    def __init__(self, *, quiet: bool) -> None:
+        self.silent = quiet or not sys.stderr.isatty()
+        self.began, self.width = time.perf_counter(), 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        if self.width:
+            print("\r" + " " * self.width + "\r", end="", file=sys.stderr, flush=True)
 
     def __call__(self, share: float, text: str) -> None:
         if self.silent:
@@ -82,8 +182,3 @@ class _Progress:
         line = f"{100 * share:3.0f} %  {text}{rest}"
         print("\r" + line.ljust(self.width), end="", file=sys.stderr, flush=True)
         self.width = max(self.width, len(line))
-
-    def done(self) -> None:
-        """Clear the line."""
-        if not self.silent and self.width:
-            print("\r" + " " * self.width + "\r", end="", file=sys.stderr, flush=True)

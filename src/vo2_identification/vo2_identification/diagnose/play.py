@@ -52,7 +52,9 @@ def playable_levels(excitation: Mapping[str, Any], device: str) -> list[float]:
     """
     levels = np.asarray(excitation.get("levels_a", []), dtype=np.float64)
     if excitation.get("kind") != "levels" or levels.size == 0 or not np.all(np.isfinite(levels)):
-        raise ValueError(f"excitation: found {', '.join(excitation) or 'nothing'}, need kind levels and levels_a")
+        raise ValueError(
+            f"excitation: found {', '.join(excitation) or 'nothing'}, need kind levels and levels_a"
+        )
     low, high = preset(device).current_range
     if np.min(levels) < low or np.max(levels) > high:
         raise ValueError(
@@ -130,6 +132,7 @@ def play(
             try:
                 _play(node, recorder, executor, stop, progress)
             finally:
+                node.stop()
                 node.rest()
                 _spin(executor, _LISTEN_S)
                 recorder.finish()
@@ -163,7 +166,9 @@ def _meet(node: IdentifierNode, executor: Executor, stop: StopFlag, device: str,
     _spin(executor, _LISTEN_S)
     reader.read(measured[-1])
     if reader.device and reader.device != device:
-        raise ValueError(f"--next: {measurement} comes from device {reader.device!r}, the model is of {device!r}")
+        raise ValueError(
+            f"--next: {measurement} comes from device {reader.device!r}, the model is of {device!r}"
+        )
     if commanded:
         others = {info.node_name for info in node.get_publishers_info_by_topic(command)} - {_NAME}
         raise ValueError(
@@ -207,7 +212,9 @@ def _play(
     if node.state == "failed" and not stop.is_set:
         raise ValueError(f"--next: {node.last_words}")
     if node.state == "exciting" and recorder.failure is None and not stop.is_set:
-        raise ValueError(f"--next: no new sample on {measurement} for {_SILENT_S:g} s; what was recorded is kept")
+        raise ValueError(
+            f"--next: no new sample on {measurement} for {_SILENT_S:g} s; what was recorded is kept"
+        )
 
 
 def _spin(executor: Executor, seconds: float, enough: Callable[[], object] = lambda: False) -> bool:
