@@ -40,6 +40,7 @@ from vo2_plant_sim.interface.topics import (
     DEFAULT_NAMESPACE,
     MEASUREMENT,
     READ_QOS,
+    SAFE_CURRENT_A,
     SAMPLE_QOS,
 )
 
@@ -114,7 +115,7 @@ class IdentifierNode(Node):
         rate = self._table.number("rate_hz") or operating_point(self._preset).rate_hz
         self._period_s = 1.0 / rate
         self._diagnostics = Diagnostics(self, hardware_id=self._preset)
-        self._state = "idle"
+        self._state, self._said = "idle", ""
         self._currents: NDArray[np.float64] = np.empty(0)
         self._log = SampleLog(_CHANNELS)
         self._last_recording: Recording | None = None
@@ -136,6 +137,38 @@ class IdentifierNode(Node):
         self.create_service(Trigger, "~/diagnose", self._on_diagnose)
         self.create_timer(_POLL_S, self._on_poll)
         self._tell("idle", "ready; call ~/start")
+
+    # --- for whoever composes this node into a process of its own -----------------------------------
+
+    @property
+    def state(self) -> str:
+        """What it is at: idle, listening, exciting, fitting, publishing, done, failed or cancelled."""
+        return self._state
+
+    @property
+    def last_words(self) -> str:
+        """What it told last of its state."""
+        return self._said
+
+    @property
+    def share_played(self) -> float:
+        """Share of the excitation that was answered, 0 to 1."""
+        return min(1.0, len(self._log) / max(self._currents.size, 1))
+
+    def stop(self) -> None:
+        """End an excitation with the sample that comes next; what was recorded until then counts."""
+        if self._state == "exciting":
+            self._currents = self._currents[: len(self._log)]
+
+    def rest(self) -> None:
+        """Answer the newest sample of an excitation with the safe current: one that has ended leaves it open."""
+        if self._order.last_ns is not None:
+            self._publisher.publish(self._writer.write(self._order.last_ns, (SAFE_CURRENT_A,)))
+
+    def close(self) -> None:
+        """Leave a device that is being excited at the safe current."""
+        if self._state == "exciting":
+            self.rest()
 
     # --- services ---------------------------------------------------------------------------------
 
@@ -353,7 +386,7 @@ class IdentifierNode(Node):
         self._diagnostics.report("diagnosis", level, text, {"state": state, **(values or {})})
 
     def _tell(self, state: str, text: str, *, percent: int = 0, stamp_ns: int | None = None) -> None:
-        self._state = state
+        self._state, self._said = state, text
         level = "error" if state == "failed" else "ok"
         values: dict[str, object] = {"state": state, "percent": percent}
         if state == "done" and self._last_recording is not None:

@@ -21,6 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from vo2_models.device import preset
+from vo2_models.parameters import Value
 from vo2_plant_sim.interface.executable import StopFlag, fastest_executor
 from vo2_plant_sim.interface.one_host import FASTDDS_PROFILE
 from vo2_plant_sim.interface.parameters import ros_parameters
@@ -71,7 +72,7 @@ def play(
     device: str,
     sample_period_s: float,
     namespace: str = "/vo2",
-    wait_s: float = 20.0,
+    wait_s: float = 30.0,
     progress: Callable[[float, str], None] = lambda share, text: None,
 ) -> bool:
     """Play an experiment on the device that runs in the graph, and record it into a new bag.
@@ -102,7 +103,8 @@ def play(
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(FASTDDS_PROFILE))
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     stop = StopFlag()
-    arguments = ["-r", f"__ns:={namespace}", "-r", f"identifier:__node:={_NAME}"]
+    # what goes well is told by `progress`
+    arguments = ["--log-level", "warn", "-r", f"__ns:={namespace}", "-r", f"identifier:__node:={_NAME}"]
     arguments += ["-p", f"preset:={device}", "-p", f"rate_hz:={1.0 / sample_period_s!r}"]
     try:
         try:
@@ -112,7 +114,7 @@ def play(
         node = IdentifierNode()
         executor = fastest_executor()
         executor.add_node(node)
-        settings = {
+        settings: dict[str, Value] = {
             "excitation.kind": "levels",
             "excitation.levels_a": levels,
             "excitation.hold_s": float(excitation["hold_s"]),
@@ -148,7 +150,9 @@ def play(
 def _meet(node: IdentifierNode, executor: Executor, stop: StopFlag, device: str, wait_s: float) -> None:
     """Wait until a device measures and takes commands; make sure that it is the right one and nobody else commands."""
     measurement, command = (node.resolve_topic_name(topic) for topic in (MEASUREMENT, COMMAND))
-    reader, measured, commanded = SampleReader(()), [], []
+    reader = SampleReader(())
+    measured: list[bytes] = []
+    commanded: list[bytes] = []
     listening = [
         node.create_subscription(JointState, measurement, measured.append, READ_QOS, raw=True),
         node.create_subscription(JointState, command, commanded.append, READ_QOS, raw=True),
