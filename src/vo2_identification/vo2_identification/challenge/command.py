@@ -19,6 +19,8 @@ from vo2_identification.challenge.runner import CaseRunner, Paths, Settings, fin
 
 __all__ = ["main"]
 
+_INTERRUPTED = "interrupted; finished cases are kept, the same command continues"
+
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
@@ -75,6 +77,14 @@ def _words(text: str) -> tuple[str, ...]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return 0, 2 on unusable arguments, 130 when interrupted."""
     arguments = _parser().parse_args(argv)
+    try:
+        return _run(arguments, argv)
+    except KeyboardInterrupt:  # while cases are drawn or scored, or the second one
+        print(_INTERRUPTED, file=sys.stderr)
+        return 130
+
+
+def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
     settings = Settings(
         arguments.seed,
         arguments.misfit,
@@ -189,7 +199,7 @@ def _run_all(plans: Sequence[CasePlan], runner: CaseRunner, jobs: int) -> bool:
                     flush=True,
                 )
     except KeyboardInterrupt:
-        print("interrupted; finished cases are kept, the same command continues", file=sys.stderr)
+        print(_INTERRUPTED, file=sys.stderr)
         return False
     finally:
         for future in waiting:
