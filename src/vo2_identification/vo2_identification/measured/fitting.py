@@ -100,7 +100,9 @@ def fit_lag(setting: Setting, cases: Sequence[Case]) -> CandidateFit:
     return _refit(setting, cases, LAG, starts[best][0])
 
 
-def fit_candidate(setting: Setting, cases: Sequence[Case], candidate: Candidate, tau: float) -> CandidateFit:
+def fit_candidate(
+    setting: Setting, cases: Sequence[Case], candidate: Candidate, tau: float, lag: CandidateFit | None = None
+) -> CandidateFit:
     """Fit loop, lag and candidate together, from starts about a lag's time constant `tau` [s].
 
     Parameters
@@ -108,13 +110,16 @@ def fit_candidate(setting: Setting, cases: Sequence[Case], candidate: Candidate,
     setting, cases : of the set; the judged samples of the cases count alike
     candidate : hypothesis
     tau : what `fit_lag` found
+    lag : its fit, a second start for a candidate that is no physical effect but has a lag: the better fit is kept
     """
     if not candidate.effects:
         extra = _started(candidate, tau)
         constant = tau if candidate.lag else INSTANT
-        return _refit(
-            setting, cases, candidate, _loop(setting, cases, candidate, {}, constant, extra)[0], extra
-        )
+        starts = [_loop(setting, cases, candidate, {}, constant, extra)[0]]
+        if lag is not None and candidate.lag:
+            starts.append(lag.model)
+        fits = [_refit(setting, cases, candidate, start, extra) for start in starts]
+        return min(fits, key=lambda fit: fit.rms)
     tried = []
     for multiple in (1.0, 4.0) if candidate.timed else (1.0,):
         effects = candidate.started(tau, multiple)

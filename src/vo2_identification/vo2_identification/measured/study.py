@@ -148,7 +148,7 @@ def study_set(
         fits.setdefault(LAG.id, []).append(lag)
         for candidate in tried if number == 0 else _promising(tried, fits):
             say(f"{key}: {candidate.id}, without {fold.words}")
-            found = fit_candidate(setting, fold.train, candidate, tau)
+            found = fit_candidate(setting, fold.train, candidate, tau, lag)
             fits.setdefault(candidate.id, []).append(found)
     records = {c.id: c for c in (RATE_INDEPENDENT, LAG, *tried)}
     plainly = {name: _judge(records[name], fits[name], fits[name], folds, noise) for name in _SIMPLE}
