@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from openpyxl import Workbook
 from vo2_identification.bags import read_recording
+from vo2_identification.bags.problems import Problem, in_few_lines
 from vo2_identification.conversion.column_map import MapError, read_map
 from vo2_identification.conversion.converting import convert_file
 
@@ -30,6 +32,7 @@ channels:
   film_resistance: {column: R, unit: kohm}
   stage_temperature: {column: T, unit: K}
 """
+BACK = "".join(f"-{k},3,30,302\n" for k in range(1, 13))
 TABLE = "t,I,R,T\n0,1,10,300\n1,2,20,301\n2,3,30,302\n"
 
 
@@ -143,6 +146,94 @@ def test_a_clock_that_jumps_back_is_named_by_row(tmp_path):
     assert [(problem.kind, problem.text[:6]) for problem in one.problems] == [("non_monotonic", "row 12")]
 
 
+def test_a_stretch_without_values_is_one_problem_and_the_infinite_is_no_value(tmp_path):
+    cells = ["10", "inf", "", "", "40", "nan"]
+    one = converted(tmp_path, table="t,I,R,T\n" + "".join(f"{k},1,{r},300\n" for k, r in enumerate(cells)))
+    np.testing.assert_array_equal(
+        np.isnan(one.recording["film_resistance"]), [False, True, True, True, False, True]
+    )
+    assert [problem.text for problem in one.problems] == [
+        "rows 3 to 5: film_resistance is infinite, kept as NaN",
+        "row 7: film_resistance has no value, kept as NaN",
+    ]
+
+
+def test_rows_that_repeat_are_counted(tmp_path):
+    one = converted(tmp_path, table=TABLE + 2 * "2,3,30,302\n")
+    expect_the_table(one.recording)
+    assert [problem.kind for problem in one.problems] == ["repeat"]
+    assert one.problems[0].text.startswith("2 rows repeat")
+
+
+@pytest.mark.parametrize("unit", ["kohm", "kOhm", "k\N{GREEK CAPITAL LETTER OMEGA}", "k\N{OHM SIGN}"])
+def test_spellings_of_a_unit(tmp_path, unit):
+    expect_the_table(converted(tmp_path, text=MAP.replace("unit: kohm", f"unit: {unit}")).recording)
+
+
+@pytest.mark.parametrize("unit", ["um", "\N{MICRO SIGN}m", "\N{GREEK SMALL LETTER MU}m"])
+def test_spellings_of_micro(tmp_path, unit):
+    text = f"time: {{rate_hz: 1}}\nchannels: {{tip_deflection: {{column: 1, unit: {unit}}}}}\n"
+    assert converted(tmp_path, text=text, table="5\n").recording["tip_deflection"][0] == pytest.approx(5e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("unit: mA", "unit: A"), r"heater_current runs from 1 to 8 A.*\(is it in mA\?\)"),
+        (("unit: kohm", "unit: ohm"), r"film_resistance runs from 12 to 200 ohm.*\(is it in kohm\?\)"),
+        (("unit: um", "unit: m"), r"tip_deflection runs from 1 to 50 m.*\(is it in um\?\)"),
+        (("unit: degC", "unit: degF"), None),
+        (("", ""), None),
+    ],
+)
+def test_a_wrong_unit_is_noticed(tmp_path, capsys, change, said):
+    text = """
+device: integrated
+time: {rate_hz: 100}
+channels:
+  heater_current: {column: 1, unit: mA}
+  film_resistance: {column: 2, unit: kohm}
+  tip_deflection: {column: 3, unit: um}
+  ambient_temperature: {column: 4, unit: degC}
+"""
+    table, path = prepared(tmp_path, text=text.replace(*change), table="1,200,1,20\n8,12,50,20\n")
+    command = ["--map", str(path), "--input", str(table), "--output", str(tmp_path / "bag")]
+    assert convert.main(command) == 0
+    error = capsys.readouterr().err
+    assert re.search(said, error) if said else error == ""
+
+
+def test_a_bad_file_of_a_folder_does_not_cost_the_others(tmp_path, capsys):
+    prepared(tmp_path)
+    prepared(tmp_path, name="a_bad_one.csv", table="nothing\n1\n")
+    command = ["--map", str(tmp_path / "map.yaml"), "--input", str(tmp_path)]
+    assert convert.main([*command, "--output", str(tmp_path / "bags")]) == 2
+    printed = capsys.readouterr()
+    assert "1 of 2 files" in printed.err and "a_bad_one.csv: found no column" in printed.err
+    expect_the_table(read_recording(tmp_path / "bags" / "table")[0])
+
+
+def test_interrupting_is_one_line(tmp_path, capsys, monkeypatch):
+    table, path = prepared(tmp_path)
+
+    def interrupt(*_arguments, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("vo2_identification.bags.write_bag", interrupt)
+    command = ["--map", str(path), "--input", str(table), "--output", str(tmp_path / "bag")]
+    assert convert.main(command) == 130
+    assert capsys.readouterr().err.splitlines() == [
+        "convert: interrupted; the bags named so far are complete"
+    ]
+
+
+def test_many_problems_are_told_in_few_lines():
+    found = [Problem("gap", "t", f"gap {k}", time_s=float(k)) for k in range(20)]
+    found += [Problem("more", "t", "30 more of kind gap"), Problem("nan", "t", "no value")]
+    lines = in_few_lines(found, most=2)
+    assert [line.text for line in lines] == ["gap 0", "gap 1", "no value", "48 more gaps"]
+
+
 def test_a_guard_blanks_what_means_nothing(tmp_path):
     text = MAP.replace("unit: kohm}", "unit: kohm, valid_where: {channel: heater_current, at_least: 1.5e-3}}")
     one = converted(tmp_path, text=text)
@@ -177,6 +268,27 @@ def test_a_guard_blanks_what_means_nothing(tmp_path):
         (("channels:", "channel:"), TABLE, "'channel', which means nothing"),
         (("column: R,", "column: 7,"), TABLE, "found 4 columns, need a column 7"),
         (("", ""), "t,I,R,T\n", "need samples from row 2 on"),
+        (("unit: kohm", "unit: kOmh"), TABLE, r"found 'kOmh'.*did you mean kohm\?"),
+        (("", ""), TABLE.replace(",", ";"), 'set delimiter: ";" in the map'),
+        (("header_row: 1", "header_row: 2"), "rig 7,,,\n\n" + TABLE, "stands in row 3: set header_row: 3"),
+        (("device: rig", "delimiter: ;"), "t;I;R;T\n0;1,5;2;3\n", "found '1,5'.*set decimal: \",\""),
+        (("", ""), "PK\x03\x04\x80", "found an .xlsx workbook.*format: xlsx"),
+        (
+            ("", ""),
+            "t,I,R,T\n3,1,10,300\n2,2,20,301\n1,3,30,302\n0,3,30,302\n" + BACK,
+            "16 rows only 1 would be",
+        ),
+        (
+            ("", ""),
+            "t,I,R,T\n" + "".join(f"5,{k},10,300\n" for k in range(30)),
+            "5 s in row 2 to 0.005 s in row",
+        ),
+        (("", ""), "t,I,R,T\n" + ",1,10,300\n" * 3, "no row has a time"),
+        (
+            ("unit: ms", "unit: s"),
+            "t,I,R,T\n1732180000000,1,10,300\n1732180000001,1,10,300\n",
+            "time of 1.73",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_one_line_with_its_place(tmp_path, capsys, change, table, named):
@@ -204,7 +316,7 @@ def test_the_command_makes_a_bag_and_says_where(tmp_path, capsys, storage):
         storage,
     ]
     assert convert.main(command) == 0
-    assert "3 samples over 0.002 s (heater_current 0.001 to 0.003" in capsys.readouterr().out
+    assert "3 samples over 0.002 s (heater_current 0.001 to 0.003 A, film" in capsys.readouterr().out
     recording, _ = read_recording(tmp_path / "bag")
     expect_the_table(recording)
     assert convert.main(command) == 2

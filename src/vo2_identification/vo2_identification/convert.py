@@ -6,16 +6,20 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from vo2_models.recording import Recording
+
+if TYPE_CHECKING:
+    from vo2_identification.conversion.column_map import ColumnMap
 
 __all__ = ["main", "shipped_maps"]
 
 _DESCRIPTION = """
 Make rosbag2 bags of a rig's own tables. A YAML map says which column is which channel, in which unit, and how the
 samples lie in time; the maps that come with this package are examples to copy. Each recording becomes a bag with
-one /vo2/measurement message per row.
+one /vo2/measurement message per row, in ampere, ohm, metre and degree Celsius.
 """
 
 
@@ -28,9 +32,17 @@ def main(args: Sequence[str] | None = None) -> int:
         return 0
     if not (options.map and options.input and options.output):
         return _refuse("--map, --input and --output are needed; see --help")
-    from vo2_identification.bags import BagError, write_bag
+    try:
+        return _convert(options)
+    except KeyboardInterrupt:
+        print("convert: interrupted; the bags named so far are complete", file=sys.stderr)
+        return 130
+
+
+def _convert(options: argparse.Namespace) -> int:
+    from vo2_identification.bags import BagError
     from vo2_identification.conversion.column_map import MapError, read_map
-    from vo2_identification.conversion.converting import convert_file, files_of
+    from vo2_identification.conversion.converting import files_of
 
     try:
         column_map = read_map(_map_path(options.map))
@@ -38,18 +50,38 @@ def main(args: Sequence[str] | None = None) -> int:
         several = len(files) * (1 if options.only else len(column_map.series)) > 1
         if options.output.exists() and not several:
             raise BagError(f"{options.output}: exists already, need the name of a new bag")
-        for file in files:
-            for converted in convert_file(file, column_map, only=options.only):
-                path = options.output / converted.name if several else options.output
-                write_bag(path, converted.recording, storage=options.storage, namespace=options.namespace)
-                for problem in converted.problems:
-                    print(f"convert: {problem}", file=sys.stderr)
-                print(_line(converted.recording, path), flush=True)
     except (BagError, MapError) as error:
         return _refuse(str(error))
-    except OSError as error:
-        return _refuse(f"{options.output}: cannot be written ({error.strerror or error})")
-    return 0
+    refused = 0
+    for file in files:
+        # one bad file of a folder must not cost the others
+        try:
+            _convert_file(file, column_map, options, several=several)
+        except (BagError, MapError) as error:
+            refused += 1
+            _refuse(str(error))
+        except OSError as error:
+            return _refuse(f"{options.output}: cannot be written ({error.strerror or error})")
+    if refused and len(files) > 1:
+        _refuse(f"{refused} of {len(files)} files were not converted")
+    return 2 if refused else 0
+
+
+def _convert_file(file: Path, column_map: ColumnMap, options: argparse.Namespace, *, several: bool) -> None:
+    from vo2_identification.bags import write_bag
+    from vo2_identification.bags.problems import in_few_lines
+    from vo2_identification.conversion.converting import convert_file
+    from vo2_identification.plausibility import impossible, unusual
+
+    for converted in convert_file(file, column_map, only=options.only):
+        recording = converted.recording
+        path = options.output / converted.name if several else options.output
+        write_bag(path, recording, storage=options.storage, namespace=options.namespace)
+        for problem in in_few_lines(converted.problems):
+            print(f"convert: {problem}", file=sys.stderr)
+        for doubt in [*impossible(recording, recording.device), *unusual(recording, recording.device)]:
+            print(f"convert: {file}: {doubt}", file=sys.stderr)
+        print(_line(recording, path), flush=True)
 
 
 def shipped_maps() -> dict[str, Path]:
@@ -76,10 +108,12 @@ def _map_path(name: str) -> Path:
 
 
 def _line(recording: Recording, path: Path) -> str:
+    from vo2_identification.conversion.units import CHANNEL_QUANTITIES, SI
+
     ranges = ", ".join(
-        f"{name} {np.nanmin(values):.6g} to {np.nanmax(values):.6g}"
+        f"{name} {np.nanmin(values):.6g} to {np.nanmax(values):.6g} {SI[CHANNEL_QUANTITIES[name]]}".rstrip()
         if np.isfinite(values).any()
-        else f"{name} NaN"
+        else f"{name} without any value"
         for name, values in recording.channels.items()
     )
     span = recording.time_s[-1] - recording.time_s[0]

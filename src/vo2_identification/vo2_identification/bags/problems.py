@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-__all__ = ["BagError", "Problem", "limited"]
+__all__ = ["BagError", "Problem", "in_few_lines", "limited"]
+
+_KINDS = {
+    "gap": "gaps",
+    "nan": "stretches without a value",
+    "non_monotonic": "samples out of order",
+    "restart": "stretches before or after a jump of the clock",
+    "malformed": "samples that cannot be read",
+}
 
 
 class BagError(ValueError):
@@ -19,7 +27,7 @@ class Problem:
     Attributes
     ----------
     kind : `gap`, `non_monotonic`, `restart`, `nan`, `absent_channel`, `malformed`, `missing_topic`,
-        `other_namespace`, `other_device`, `negative_time`, `truncated`, `corrupt`, `metadata`, `missing_file`, `more`
+        `other_namespace`, `other_device`, `negative_time`, `truncated`, `corrupt`, `metadata`, `missing_file`, `repeat`, `more`
     topic : topic name, or the file name where a file is meant
     text : what was found, in words
     time_s : stamp [s] of the place, None where a time has no meaning
@@ -49,3 +57,29 @@ def limited(found: Iterable[Problem], most: int = 20) -> list[Problem]:
         return every
     rest = len(every) - most
     return [*every[:most], Problem("more", every[0].topic, f"{rest} more of kind {every[0].kind}")]
+
+
+def in_few_lines(found: Iterable[Problem], most: int = 5) -> list[Problem]:
+    """Return at most `most` problems of each kind and topic and, in place of the others, how many there are.
+
+    For people: a terminal full of alike lines hides the one that matters.
+    """
+    lines: list[Problem] = []
+    shown: dict[tuple[str, str], int] = {}
+    rest: dict[tuple[str, str], int] = {}
+    for problem in found:
+        if problem.kind == "more":
+            hidden = int(problem.text.split(" ", 1)[0])
+            kind = problem.text.rsplit(" ", 1)[-1]
+        else:
+            hidden, kind = 1, problem.kind
+        key = (kind, problem.topic)
+        if problem.kind != "more" and shown.get(key, 0) < most:
+            shown[key] = shown.get(key, 0) + 1
+            lines.append(problem)
+        else:
+            rest[key] = rest.get(key, 0) + hidden
+    for (kind, topic), count in rest.items():
+        words = _KINDS.get(kind, f"of kind {kind}")
+        lines.append(Problem("more", topic, f"{count} more {words}"))
+    return lines

@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from vo2_identification.conversion.units import CHANNEL_QUANTITIES, UNITS, Unit
+from vo2_identification.conversion.units import CHANNEL_QUANTITIES, Unit, fitting_units, unit_named
 
 __all__ = ["ColumnMap", "Guard", "MapError", "Series", "Source", "read_map"]
 
@@ -115,7 +115,9 @@ def read_map(path: Path) -> ColumnMap:
     """
     try:
         document = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except OSError as error:
+        raise MapError(f"map {path}: cannot be read ({error.strerror or error}), need a YAML file") from error
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
         raise MapError(f"map {path}: cannot be read ({' '.join(str(error).split())})") from error
     where = f"map {path}"
     table = _checked(document, _TABLE_KEYS, where)
@@ -190,13 +192,18 @@ def _time(entry: Any, where: str) -> Source | float:
 def _source(entry: Any, quantity: str, where: str) -> Source:
     keys = {"column": (str, int), "unit": (str, int), "scale": float, "offset": float, "valid_where": dict}
     entry = _checked(entry, keys, where)
-    fitting = ", ".join(name for name, unit in UNITS.items() if unit.quantity == quantity)
     for key in ("column", "unit"):
         if key not in entry:
-            raise MapError(f"{where}: found no {key}, need one" + (f" of {fitting}" if key == "unit" else ""))
-    unit = UNITS.get(str(entry["unit"]))
-    if unit is None or unit.quantity != quantity:
-        raise MapError(f"{where}: unit: found {entry['unit']!r}, need a unit of {quantity}: {fitting}")
+            raise MapError(
+                f"{where}: found no {key}, need one"
+                + (f" of {fitting_units('', quantity)}" if key == "unit" else "")
+            )
+    name = str(entry["unit"])
+    unit = unit_named(name, quantity)
+    if unit is None:
+        raise MapError(
+            f"{where}: unit: found {name!r}, need a unit of {quantity}: {fitting_units(name, quantity)}"
+        )
     column = entry["column"]
     if isinstance(column, int) and column < 1:
         raise MapError(f"{where}: column: found {column}, need a number from 1, or a name")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +19,11 @@ from vo2_identification.conversion.column_map import ColumnMap, MapError, Series
 from vo2_identification.conversion.tables import Table, read_table
 
 __all__ = ["Converted", "convert_file", "files_of"]
+
+_FEWEST_KEPT = 0.1
+_LATEST_S = 2.0**31
+"""a stamp holds its seconds in 32 bits"""
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 
 
 @dataclass(frozen=True)
@@ -72,14 +78,15 @@ def convert_file(path: Path, column_map: ColumnMap, *, only: str | None = None) 
 
 def _convert(table: Table, series: Series, column_map: ColumnMap, name: str) -> Converted:
     problems: list[Problem] = []
-    columns = {channel: _values(table, source, column_map) for channel, source in series.channels.items()}
+    read = {channel: _values(table, source, column_map) for channel, source in series.channels.items()}
+    columns = {channel: np.where(np.isinf(column), np.nan, column) for channel, column in read.items()}
     rows = np.array([number for number, _ in table.rows])
     if isinstance(series.time, float):
         time_s = np.arange(rows.size) / series.time
         timeless = np.zeros(rows.size, np.bool_)
     else:
         time_s = _values(table, series.time, column_map)
-        timeless = np.isnan(time_s)
+        timeless = ~np.isfinite(time_s)
     # a series shorter than its neighbours in the table has empty cells below it: they belong to no recording
     empty = np.all([np.isnan(values) for values in columns.values()], axis=0)
     filled = np.flatnonzero(~(empty & timeless) if timeless.any() else ~empty)
@@ -89,6 +96,13 @@ def _convert(table: Table, series: Series, column_map: ColumnMap, name: str) -> 
     for k in np.flatnonzero(timeless[:stop]):
         problems.append(Problem("malformed", table.path, f"row {rows[k]} has no time and is left out"))
     keep = np.flatnonzero(~timeless[:stop])
+    if not keep.size:
+        raise MapError(f"{table.path}: no row has a time, need some; check the time column of the map")
+    if np.max(np.abs(time_s[keep])) > _LATEST_S:
+        raise MapError(
+            f"{table.path}: found a time of {np.max(np.abs(time_s[keep])):.6g} s, need less than {_LATEST_S:.4g} s; "
+            "check the time column and its unit"
+        )
     stamp_ns = np.rint(time_s[keep] * 1e9).astype(np.int64)
     if stamp_ns.size and stamp_ns.min() < 0:
         problems.append(
@@ -104,11 +118,21 @@ def _convert(table: Table, series: Series, column_map: ColumnMap, name: str) -> 
     samples = Samples(stamp_ns, values, present, {}, [])
     index, disorder = increasing_samples(table.path, samples)
     rows = rows[keep]
+    if index.size < _FEWEST_KEPT * keep.size:
+        raise MapError(
+            f"{table.path}: of {keep.size} rows only {index.size} would be left in order of time, which runs from "
+            f"{time_s[keep[0]]:.9g} s in row {rows[0]} to {time_s[keep[-1]]:.9g} s in row {rows[-1]}; check the time "
+            "column and its unit, or give rate_hz in place of a column"
+        )
+    if not disorder and index.size < keep.size:
+        text = f"{keep.size - index.size} rows repeat the row before, time and all, and are left out"
+        problems.append(Problem("repeat", table.path, text))
     problems.extend(_by_row(disorder, rows))
     stamp_ns, rows = stamp_ns[index], rows[index]
     values = {channel: column[index] for channel, column in values.items()}
     for channel, column in values.items():
-        problems.extend(_missing(table.path, channel, column, stamp_ns, rows))
+        endless = np.isinf(read[channel][keep][index])
+        problems.extend(_missing(table.path, channel, column, endless, stamp_ns, rows))
     for channel, guard in series.guards.items():
         judge = values[guard.channel]
         outside = ~((judge >= guard.at_least) & (judge <= guard.at_most)) & ~np.isnan(values[channel])
@@ -134,10 +158,16 @@ def _values(table: Table, source: Source, column_map: ColumnMap) -> NDArray[np.f
             values[k] = number(cell)
         except (TypeError, ValueError):
             raise MapError(
-                f"{table.path}: row {row}, column {source.column!r}: found {cell!r}, need a number; list it under "
-                "missing in the map if it means that there is no value"
+                f"{table.path}: row {row}, column {source.column!r}: found {cell!r}, need a number; "
+                + _remedy(cell, column_map)
             ) from None
     return source.unit.factor * (source.scale * values + source.offset) + source.unit.offset
+
+
+def _remedy(cell: Any, column_map: ColumnMap) -> str:
+    if isinstance(cell, str) and column_map.decimal == "." and _DECIMAL_COMMA.fullmatch(cell.strip()):
+        return 'set decimal: "," in the map if the comma is a decimal one'
+    return "list it under missing in the map if it means that there is no value"
 
 
 def _by_row(problems: list[Problem], rows: NDArray[np.int64]) -> list[Problem]:
@@ -170,13 +200,18 @@ def _missing(
     path: str,
     channel: str,
     column: NDArray[np.float64],
+    endless: NDArray[np.bool_],
     stamp_ns: NDArray[np.int64],
     rows: NDArray[np.int64],
 ) -> list[Problem]:
-    bad = np.flatnonzero(~np.isfinite(column))
-    return limited(
-        [
-            Problem("nan", path, f"row {rows[k]}: {channel} has no value, kept as NaN", stamp_ns[k] / 1e9)
-            for k in bad
-        ]
-    )
+    """Return one problem per stretch of rows without a finite value."""
+    bad = ~np.isfinite(column)
+    places = np.flatnonzero(bad)
+    breaks = np.flatnonzero((np.diff(places) > 1) | (np.diff(rows[places]) > 1)) + 1
+    found = []
+    for stretch in np.split(places, breaks) if places.size else []:
+        first, last = stretch[0], stretch[-1]
+        place = f"row {rows[first]}" if last == first else f"rows {rows[first]} to {rows[last]}"
+        what = "is infinite" if endless[stretch].any() else "has no value"
+        found.append(Problem("nan", path, f"{place}: {channel} {what}, kept as NaN", stamp_ns[first] / 1e9))
+    return limited(found)

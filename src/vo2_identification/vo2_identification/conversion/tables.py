@@ -12,6 +12,9 @@ from vo2_identification.conversion.column_map import ColumnMap, MapError
 
 __all__ = ["Table", "read_table"]
 
+_HEADER_SEARCH = 200
+_WORKBOOK = b"PK\x03\x04"  # an .xlsx file is a ZIP archive
+
 
 @dataclass(frozen=True)
 class Table:
@@ -47,11 +50,24 @@ class Table:
             return places[0]
         if not places:
             present = ", ".join(repr(name) for name in self.names if name) or "none"
-            raise MapError(f"{self.path}: found no column {wanted!r} in the header, which has {present}")
+            raise MapError(
+                f"{self.path}: found no column {wanted!r} in the header, which has {present}{self._hint(wanted)}"
+            )
         numbers = ", ".join(str(k + 1) for k in places)
         raise MapError(
             f"{self.path}: column {wanted!r} occurs {len(places)} times; use one of its numbers {numbers}"
         )
+
+    def _hint(self, wanted: str) -> str:
+        """Say where a name that is not in the header stands after all, or nothing."""
+        wanted = wanted.strip()
+        for mark, name in (";", '";"'), (",", "comma"), ("\t", "tab"):
+            if len(self.names) == 1 and wanted in [part.strip() for part in self.names[0].split(mark)]:
+                return f"; the columns look separated otherwise: set delimiter: {name} in the map"
+        for number, cells in self.rows[:_HEADER_SEARCH]:
+            if any(str(cell).strip() == wanted for cell in cells if cell is not None):
+                return f"; it stands in row {number}: set header_row: {number} in the map"
+        return ""
 
 
 def read_table(path: Path, column_map: ColumnMap) -> Table:
@@ -82,6 +98,7 @@ def read_table(path: Path, column_map: ColumnMap) -> Table:
         if column_map.header_row > len(cells):
             raise MapError(f"{name}: found {len(cells)} rows, need a header in row {column_map.header_row}")
         header = tuple("" if cell is None else str(cell).strip() for cell in cells[column_map.header_row - 1])
+        header = header or ("",)  # a blank row is a header all the same: one without names
     last = column_map.last_row or len(cells)
     rows = [
         (number, row)
@@ -94,6 +111,11 @@ def read_table(path: Path, column_map: ColumnMap) -> Table:
 
 
 def _text_rows(path: Path, column_map: ColumnMap) -> list[list[str]]:
+    with path.open("rb") as binary:
+        if binary.read(4) == _WORKBOOK:
+            raise MapError(
+                f"{path}: found an .xlsx workbook, need a text table; or set format: xlsx in the map"
+            )
     with path.open(encoding=column_map.encoding, newline="") as file:
         if column_map.delimiter == "whitespace":
             return [line.split() for line in file]
@@ -109,7 +131,9 @@ def _sheet(path: Path, wanted: str | None) -> tuple[str, list[Sequence[Any]]]:
     try:
         book = load_workbook(path, read_only=True, data_only=True)
     except (BadZipFile, InvalidFileException, KeyError) as error:
-        raise MapError(f"{path}: not an .xlsx workbook ({error})") from error
+        raise MapError(
+            f"{path}: not an .xlsx workbook ({error}); for a text table set format: csv in the map"
+        ) from error
     try:
         if wanted is not None and wanted not in book.sheetnames:
             raise MapError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 from vo2_models.recording import (
     HEATER_CURRENT,
@@ -11,7 +12,7 @@ from vo2_models.recording import (
     TIP_DEFLECTION,
 )
 
-__all__ = ["CHANNEL_QUANTITIES", "UNITS", "Unit"]
+__all__ = ["CHANNEL_QUANTITIES", "SI", "UNITS", "Unit", "fitting_units", "unit_named"]
 
 
 @dataclass(frozen=True)
@@ -23,8 +24,14 @@ class Unit:
     offset: float = 0.0
 
 
-_PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9}
-_BASES = {"m": "length", "s": "time", "A": "current", "V": "voltage", "ohm": "resistance", "Ω": "resistance"}
+_PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "m": 1e-3, "u": 1e-6, "n": 1e-9}
+_MICRO = ("\N{MICRO SIGN}", "\N{GREEK SMALL LETTER MU}")
+_BASES = {"m": "length", "s": "time", "A": "current", "V": "voltage", "ohm": "resistance"}
+_OTHER_NAMES = {
+    "ohm": ("Ohm", "\N{GREEK CAPITAL LETTER OMEGA}", "\N{OHM SIGN}"),
+    "degC": ("°C",),
+    "degF": ("°F",),
+}
 
 UNITS = {
     **{
@@ -39,7 +46,19 @@ UNITS = {
     "degF": Unit("temperature", 5 / 9, -160 / 9),
     "1": Unit("number", 1.0),
 }
-"""Name in a map -> unit."""
+"""Name in a map -> unit; `unit_named` knows further spellings."""
+
+SI = {
+    "length": "m",
+    "time": "s",
+    "current": "A",
+    "voltage": "V",
+    "resistance": "ohm",
+    "temperature": "degC",
+    "number": "",
+}
+"""Quantity -> unit of a recording."""
+
 
 CHANNEL_QUANTITIES = {
     HEATER_CURRENT: "current",
@@ -52,3 +71,28 @@ CHANNEL_QUANTITIES = {
     "laser_on": "number",
 }
 """Channels that a map can fill, and what they measure."""
+
+
+def unit_named(name: str, quantity: str) -> Unit | None:
+    """Return the unit of a quantity, None if there is none of this name."""
+    unit = UNITS.get(_plain(name))
+    return unit if unit is not None and unit.quantity == quantity else None
+
+
+def fitting_units(name: str, quantity: str) -> str:
+    """Say which units there are, beginning with what a misspelt name may have meant."""
+    there = [one for one, unit in UNITS.items() if unit.quantity == quantity]
+    lower = {one.lower(): one for one in there}
+    meant = get_close_matches(_plain(name).lower(), lower, n=1, cutoff=0.6)
+    guess = f" (did you mean {lower[meant[0]]}?)" if meant else ""
+    return ", ".join(there) + guess
+
+
+def _plain(name: str) -> str:
+    for letter in _MICRO:
+        name = name.replace(letter, "u")
+    for plain, others in _OTHER_NAMES.items():
+        for other in others:
+            if name.endswith(other):
+                return name.removesuffix(other) + plain
+    return name
