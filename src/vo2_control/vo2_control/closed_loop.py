@@ -87,6 +87,7 @@ def _run(
     # command (1,) and sample (1, COLUMNS) come from outside: the chain borrows its arrays, and the compiler would
     # take stores into one allocated here for dead
     current = state[-1]
+    following = np.empty(state.size - 1)
     for k in range(reference.size):
         command[0] = current + disturbance[k]
         chain.run_chain(
@@ -99,8 +100,9 @@ def _run(
         out[k, 2] = current
         out[k, 3] = sample[0, 5]
         current = _limited_step(
-            a, b, cc, d, conditioning, squared, lower, upper, most, state, reference[k], estimate, ahead[k]
-        )
+            a, b, cc, d, conditioning, squared, lower, upper, most, state, following, reference[k], estimate,
+            ahead[k],
+        )  # fmt: skip
 
 
 def run_loop(

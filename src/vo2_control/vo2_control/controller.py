@@ -24,6 +24,9 @@ __all__ = [
     "limited_step",
 ]
 
+Row = list[float] | NDArray[np.float64]
+Rows = list[list[float]] | NDArray[np.float64]
+
 Coordinate = Literal["current", "heating_power"]
 """What the law computes: the current itself [A], or its square [A^2], which is linear in the temperature
 of a Joule heater, T = T0 + k i^2 (eq. 7.1), so that the loop gain no longer grows with the current."""
@@ -135,32 +138,34 @@ class LinearLaw:
 
 
 def limited_step(
-    a: NDArray[np.float64],
-    b: NDArray[np.float64],
-    c: NDArray[np.float64],
-    d: NDArray[np.float64],
-    conditioning: NDArray[np.float64],
+    a: Rows,
+    b: Rows,
+    c: Row,
+    d: Row,
+    conditioning: Row,
     squared: bool,
     lower_a: float,
     upper_a: float,
     largest_change_a: float,
-    state: NDArray[np.float64],
+    state: Row,
+    following: Row,
     reference_m: float,
     estimate_m: float,
     ahead_a: float,
 ) -> float:
     """One sample of a `LinearLaw` behind its limits; updates `state` (n + 1,) in place, returns the current [A].
 
-    The last element of `state` is the current applied before. `ahead_a` [A] is added in the law's coordinate:
-    the operating current plus any feedforward, so that one set of limits and one anti-windup serve both. Plain
-    loops: studies compile this very function with numba, nodes call it as it is.
+    The last element of `state` is the current applied before; `following` (n,) is room to work in. `ahead_a` [A] is
+    added in the law's coordinate: the operating current plus any feedforward, so that one set of limits and one
+    anti-windup serve both. Plain loops: studies compile this very function with numba for arrays, nodes call it as
+    it is with lists of floats, which a few states are faster in than in arrays.
     """
-    n = c.shape[0]
-    v = float(d[0]) * reference_m + float(d[1]) * estimate_m
+    v = d[0] * reference_m + d[1] * estimate_m
     v += ahead_a * abs(ahead_a) if squared else ahead_a
+    n = len(c)
     for j in range(n):
-        v += float(c[j]) * float(state[j])
-    before = float(state[n])
+        v += c[j] * state[j]
+    before = state[n]
     wanted = (math.sqrt(v) if v > 0.0 else 0.0) if squared else v
     current = min(max(wanted, before - largest_change_a), before + largest_change_a)
     current = min(max(current, lower_a), upper_a)
@@ -168,13 +173,14 @@ def limited_step(
     removed = 0.0
     if current != wanted or (squared and v < 0.0):
         removed = (current * current if squared else current) - v
-    following = np.empty(n)
     for i in range(n):
-        total = b[i, 0] * reference_m + b[i, 1] * estimate_m + conditioning[i] * removed
+        row = a[i]
+        total = b[i][0] * reference_m + b[i][1] * estimate_m + conditioning[i] * removed
         for j in range(n):
-            total += a[i, j] * state[j]
+            total += row[j] * state[j]
         following[i] = total
-    state[:n] = following
+    for i in range(n):
+        state[i] = following[i]
     state[n] = current
     return current
 
@@ -190,7 +196,7 @@ class LinearController:
 
     law: LinearLaw
     limits: CurrentLimits
-    _state: NDArray[np.float64] = field(init=False, repr=False)
+    _state: list[float] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.law.coordinate == "heating_power" and self.limits.lower_a < 0:
@@ -199,18 +205,18 @@ class LinearController:
             )
         self._starts = self.law.start_maps()
         self._arguments = (
-            self.law.a,
-            self.law.b,
-            self.law.c,
-            self.law.d,
-            self.law.conditioning,
+            self.law.a.tolist(),
+            self.law.b.tolist(),
+            self.law.c.tolist(),
+            self.law.d.tolist(),
+            self.law.conditioning.tolist(),
             self.law.coordinate == "heating_power",
             self.limits.lower_a,
             self.limits.upper_a,
             self.limits.rate_a_per_s * self.law.sample_period_s,
         )
-        self._state = np.zeros(self.law.order + 1)
-        self._state[-1] = min(max(0.0, self.limits.lower_a), self.limits.upper_a)
+        self._following = [0.0] * self.law.order
+        self._state = [0.0] * self.law.order + [min(max(0.0, self.limits.lower_a), self.limits.upper_a)]
 
     @property
     def sample_period_s(self) -> float:
@@ -219,11 +225,11 @@ class LinearController:
     @property
     def state(self) -> NDArray[np.float64]:
         """(n + 1,): the law's state and the current applied last [A]; a copy."""
-        return self._state.copy()
+        return np.array(self._state)
 
     @state.setter
     def state(self, value: NDArray[np.float64]) -> None:
-        self._state = finite_array(value, "state", size=self.law.order + 1).copy()
+        self._state = finite_array(value, "state", size=self.law.order + 1).tolist()
 
     def update(self, reference_m: float, estimate_m: float, feedforward_a: float = 0.0) -> float:
         """Advance one sample; return the current [A].
@@ -243,7 +249,7 @@ class LinearController:
                 f"{feedforward_a} A, need finite numbers"
             )
         ahead = self.law.operating_a + feedforward_a
-        return limited_step(*self._arguments, self._state, reference_m, estimate_m, ahead)
+        return limited_step(*self._arguments, self._state, self._following, reference_m, estimate_m, ahead)
 
     def reset(
         self, current_a: float, reference_m: float, estimate_m: float, feedforward_a: float = 0.0
@@ -258,5 +264,4 @@ class LinearController:
         if self.law.coordinate == "heating_power":
             v = current * current - ahead * abs(ahead)
         from_v, from_w = self._starts
-        self._state[:-1] = from_v * v + from_w @ signals
-        self._state[-1] = current
+        self._state = [*(from_v * v + from_w @ signals).tolist(), current]

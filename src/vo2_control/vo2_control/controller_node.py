@@ -131,23 +131,25 @@ class ControllerNode(Node):
 
     def _act(self) -> None:
         """Answer the waiting estimate if its set-point is there."""
-        if self._estimate is None or not self._table.flag("enabled"):
+        table = self._table
+        if self._estimate is None or not table["enabled"]:
             return
         stamp_ns, (deflection, surrogate, _bound) = self._estimate
-        reference = _NAN if self._reference is None else self._reference[1]
-        if self._table.flag("reference_hold"):
-            if self._reference is None:
+        if self._reference is None:
+            if table["reference_hold"]:
                 self._miss(
                     stamp_ns, f"no set-point on {REFERENCE} yet; start the reference node or publish one"
                 )
-                return
-        elif self._reference is None or self._reference[0] != stamp_ns:
+            return
+        reference_ns, reference = self._reference
+        if reference_ns != stamp_ns and not table["reference_hold"]:
             return
         self._estimate = None
         self._input_s = time.monotonic()
-        if self._table.revision != self._revision:
+        if table.revision != self._revision:
             self._rebuild()
-        self._take_over_designed()
+        if self._designer is not None:
+            self._take_over_designed()
         if self._order.jumped_back(stamp_ns):
             self._diagnostics.report(
                 "stamps", "warn", "the stamp jumped back: the loop starts anew", stamp_ns=stamp_ns
@@ -159,14 +161,18 @@ class ControllerNode(Node):
         if not math.isfinite(reference):
             self._miss(stamp_ns, f"tip_deflection on {REFERENCE} is {reference}: send finite set-points")
             return
-        self._supervisor.begin_at(surrogate)
-        reachable = self._supervisor.reachable(reference)
-        ahead = self._feedforward(reachable)
-        if self._pending is not None:
-            self._law, self._pending = self._pending, None
-            self._supervisor.replace_controller(self._law, reachable, deflection, ahead)
-        was_closed = self._supervisor.mode in ("tracking", "limited")
-        decision = self._supervisor.sample(stamp_ns * 1e-9, reference, deflection, feedforward_a=ahead)
+        supervisor = self._supervisor
+        was_closed = supervisor.mode in ("tracking", "limited")
+        if not was_closed:
+            supervisor.begin_at(surrogate)
+        ahead = 0.0
+        if self._ahead is not None or self._pending is not None:
+            reachable = supervisor.reachable(reference)
+            ahead = self._feedforward(reachable)
+            if self._pending is not None:
+                self._law, self._pending = self._pending, None
+                supervisor.replace_controller(self._law, reachable, deflection, ahead)
+        decision = supervisor.sample(stamp_ns * 1e-9, reference, deflection, ahead)
         if not was_closed:
             self._diagnostics.report("input", "ok", "input is there, the loop is closed", stamp_ns=stamp_ns)
         if decision.mode == "limited":

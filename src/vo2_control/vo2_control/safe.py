@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from vo2_models.validation import positive_number
 
@@ -46,8 +46,7 @@ class SafetySettings:
             raise ValueError(f"reach_m: found {low:g} to {high:g}, need lowest below highest")
 
 
-@dataclass(frozen=True)
-class Decision:
+class Decision(NamedTuple):
     """A current [A] to publish, the mode of the loop, and why it is not plain tracking (else empty)."""
 
     current_a: float
@@ -101,9 +100,8 @@ class Supervisor:
         self, time_s: float, reference_m: float, estimate_m: float, feedforward_a: float = 0.0
     ) -> Decision:
         """Answer one sample taken at `time_s` [s]."""
-        fault = self._fault(reference_m, estimate_m)
-        if fault:
-            return self._without_input(time_s, fault)
+        if not (math.isfinite(reference_m) and math.isfinite(estimate_m)):
+            return self._without_input(time_s, self._fault(reference_m, estimate_m))
         reference = self.reachable(reference_m)
         if self._mode in ("idle", "safe"):
             self._controller.reset(self._current, reference, estimate_m, feedforward_a)
@@ -148,6 +146,4 @@ class Supervisor:
     def _fault(reference_m: float, estimate_m: float) -> str:
         if not math.isfinite(estimate_m):
             return f"estimate is {estimate_m}"
-        if not math.isfinite(reference_m):
-            return f"reference is {reference_m}"
-        return ""
+        return f"reference is {reference_m}"

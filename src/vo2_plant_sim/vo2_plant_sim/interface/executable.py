@@ -33,8 +33,12 @@ class StopFlag:
             number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)
         }
 
-    def _on_signal(self, number: int, _frame: object) -> None:
+    def set(self) -> None:
+        """End the loop as the first signal does."""
         self.is_set = True
+
+    def _on_signal(self, number: int, _frame: object) -> None:
+        self.set()
         for each, before in self._before.items():
             signal.signal(each, signal.SIG_DFL if each == signal.SIGTERM else before)
 
@@ -90,7 +94,9 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
         # and stops the loop for a tenth of a second
         gc.collect()
         gc.freeze()
-        while rclpy.ok() and not stop.is_set:
+        # told once, not asked after every sample
+        rclpy.get_default_context().on_shutdown(stop.set)
+        while not stop.is_set:
             executor.spin_once(timeout_sec=_SPIN_S)
         return 0
     except ExternalShutdownException:

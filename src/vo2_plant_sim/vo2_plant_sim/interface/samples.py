@@ -1,14 +1,16 @@
 """Stamped vectors of named channels: `sensor_msgs/msg/JointState` on the wire, floats in fixed order inside.
 
 A loop exchanges some thousand samples a second, always with the same names. So the names are laid out
-once: writing a sample packs a stamp and a few doubles into a prepared buffer, reading one compares the
-buffer with the layout seen last and unpacks. Any other layout is read by the ordinary message classes.
+once: writing a sample packs a stamp and a few doubles between prepared bytes, reading one compares these
+with the layout seen last and unpacks. Any other layout is read by the ordinary message classes.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from operator import itemgetter
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.serialization import deserialize_message, serialize_message
@@ -47,14 +49,16 @@ class SampleWriter:
 
     def __init__(self, channels: Sequence[str], device: str = "") -> None:
         self.channels = tuple(channels)
-        self._buffer, self._values_at = _blank_sample(self.channels, device)
-        self._values = struct.Struct(f"<{len(self.channels)}d")
+        count = len(self.channels)
+        buffer, values_at = _blank_sample(self.channels, device)
+        self._head = bytes(buffer[:_STAMP_AT])
+        self._body = bytes(buffer[_BODY_AT:values_at])
+        self._tail = bytes(buffer[values_at + 8 * count :])
+        self._pack = struct.Struct(f"<{_STAMP_AT}siI{len(self._body)}s{count}d{len(self._tail)}s").pack
 
     def write(self, stamp_ns: int, values: Sequence[float]) -> bytes:
         """Return the serialized sample; `values` in the order of the channels, SI units."""
-        _STAMP.pack_into(self._buffer, _STAMP_AT, *divmod(stamp_ns, _NS))
-        self._values.pack_into(self._buffer, self._values_at, *values)
-        return bytes(self._buffer)
+        return self._pack(self._head, stamp_ns // _NS, stamp_ns % _NS, self._body, *values, self._tail)
 
 
 class ClockWriter:
@@ -82,20 +86,21 @@ class SampleReader:
         self.names: tuple[str, ...] = ()
         self.device = ""
         self._body = b""
+        self._body_end = _BODY_AT
         self._size = -1
-        self._values = struct.Struct("")
-        self._pick: tuple[int, ...] | None = ()
+        self._unpack: Callable[[bytes], tuple[Any, ...]] = struct.Struct("").unpack_from
+        self._pick: Callable[[tuple[Any, ...]], tuple[float, ...]] = tuple
 
     def read(self, data: bytes) -> tuple[int, tuple[float, ...]]:
         """Return (stamp in ns, values in the order of `channels`) of a serialized JointState."""
-        body_end = _BODY_AT + len(self._body)
-        if len(data) != self._size or data[_BODY_AT:body_end] != self._body or data[:2] != _LITTLE_ENDIAN:
+        if (
+            len(data) != self._size
+            or data[_BODY_AT : self._body_end] != self._body
+            or data[:2] != _LITTLE_ENDIAN
+        ):
             return self._read_new_layout(data)
-        seconds, nanoseconds = _STAMP.unpack_from(data, _STAMP_AT)
-        values = self._values.unpack_from(data, body_end)
-        if self._pick is not None:
-            values = tuple([values[k] if k >= 0 else _NAN for k in self._pick])
-        return seconds * _NS + nanoseconds, values
+        found = self._unpack(data)
+        return found[0] * _NS + found[1], self._pick(found)
 
     def has(self, channel: str) -> bool:
         """Whether the last sample carried `channel`."""
@@ -110,12 +115,21 @@ class SampleReader:
         plain = len(message.position) == len(message.name) and not message.velocity and not message.effort
         if plain and data[:2] == _LITTLE_ENDIAN and len(set(self.names)) == len(self.names):
             offset = _position_offset(data)
-            self._body = bytes(data[_BODY_AT:offset])
+            self._body, self._body_end = bytes(data[_BODY_AT:offset]), offset
             self._size = len(data)
-            self._values = struct.Struct(f"<{len(self.names)}d")
-            pick = tuple(self.names.index(name) if name in self.names else -1 for name in self.channels)
-            self._pick = None if pick == tuple(range(len(self.names))) else pick
+            self._unpack = struct.Struct(f"<{_STAMP_AT}xiI{len(self._body)}x{len(self.names)}d").unpack_from
+            self._pick = _picker(self.names, self.channels)
         return stamp_ns, tuple(float(positions.get(name, _NAN)) for name in self.channels)
+
+
+def _picker(names: Sequence[str], wanted: Sequence[str]) -> Callable[[tuple[Any, ...]], tuple[float, ...]]:
+    """Return what takes the values of the channels `wanted` from (seconds, nanoseconds, *values of `names`)."""
+    places = [2 + names.index(name) if name in names else None for name in wanted]
+    if len(places) == 1 and places[0] is not None:
+        return itemgetter(slice(places[0], places[0] + 1))
+    if len(places) > 1 and None not in places:
+        return itemgetter(*places)
+    return lambda found: tuple([_NAN if at is None else found[at] for at in places])
 
 
 def _blank_sample(channels: Sequence[str], device: str) -> tuple[bytearray, int]:
