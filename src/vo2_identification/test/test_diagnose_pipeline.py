@@ -11,7 +11,7 @@ from vo2_identification.fit import model_of
 from vo2_models.device import DeviceModel, preset, surrogate_of_temperature, truth
 from vo2_models.excitation import Excitation, composite_recording, damped_oscillation
 from vo2_models.model_file import load_model_parameters, save_model_parameters
-from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
+from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 DEVICE, SEED, DT = "integrated", 11, 1e-3
 MEASURED = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)
@@ -96,6 +96,35 @@ def test_a_change_of_the_terminals_is_told_from_the_film(parameters) -> None:
     assert answer.effects[0].id == "series_resistance"
     assert answer.effects[0].parameters["resistance"].value == pytest.approx(900.0, rel=0.15)
     assert answer.location[0].signal == RESISTANCE
+
+
+def test_a_limit_that_only_the_largest_currents_reach_is_found(parameters) -> None:
+    command = concealed()[HEATER_CURRENT]
+    limit = float(np.quantile(command, 0.985))
+    limited = concealed({"driver_saturation": {"limit": limit}})
+    channels = {**limited.channels, COMMANDED_CURRENT: command}
+    answer = diagnose([Recording(limited.time_s, channels, DEVICE)], parameters)
+    assert [e.id for e in answer.effects] == ["driver_saturation"]
+    assert answer.effects[0].parameters["limit"].value == pytest.approx(limit, rel=0.01)
+
+
+def test_a_small_late_part_on_top_is_found_with_its_steady_gain(parameters) -> None:
+    answer = diagnose(
+        [concealed({"creep": {"share": 0.012, "time_constant": 0.4, "gain": 0.012}})], parameters
+    )
+    assert [e.id for e in answer.effects] == ["creep"]
+    found = answer.effects[0].parameters
+    assert found["share"].value == pytest.approx(0.012, rel=0.2)
+    assert found["gain"].value == pytest.approx(0.012, rel=0.3)
+
+
+def test_a_light_that_is_always_on_is_told_as_a_constant(parameters) -> None:
+    answer = diagnose([concealed({"laser_heating": {"rise": 0.5}})], parameters)
+    assert answer.verdict == "differs"
+    assert [e.id for e in answer.effects] == ["unknown"]
+    assert any("thermal.ambient" in text and "laser_heating" in text for text in answer.limits)
+    assert answer.next_experiment is not None and answer.next_experiment.kind == "manual"
+    validate(answer.to_dict())
 
 
 def test_what_is_not_in_the_catalogue_is_unknown_and_still_modelled(parameters) -> None:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vo2_models.device.bank import PlayBank
 from vo2_models.device.model import DeviceModel
-from vo2_models.device.plays import bank_output
+from vo2_models.device.plays import bank_output, tanh
 from vo2_models.device.presets import preset
 
 PLAYS = [(0.30, 60.0, 2.0), (0.22, 59.0, 3.5), (0.35, 58.0, 5.0)]
@@ -157,6 +157,12 @@ def test_play_bank_equals_the_play_library(inputs, radii):
         assert tried == pytest.approx(expected, abs=1e-12)
         assert np.allclose(ours, theirs, rtol=0, atol=1e-14)
         assert before[0] != v or np.array_equal(before, ours)
+
+
+def test_tanh_of_the_bank_is_tanh_to_rounding():
+    argument = np.r_[np.linspace(-30.0, 30.0, 20001), np.geomspace(1e-300, 1.0, 2000), 1e9, -1e9, 0.0]
+    ours = np.array([tanh.py_func(a) for a in argument])
+    np.testing.assert_allclose(ours, np.tanh(argument), rtol=2e-15, atol=1e-315)
 
 
 def test_latent_heat_conserves_enthalpy():

@@ -16,6 +16,14 @@ __all__ = ["Explanation", "Score", "fit_jointly", "score", "switched"]
 Floats = NDArray[np.float64]
 SHORTEST = 0.05
 """Shortest time between switching on and off, as a share of the recording."""
+MAGNITUDE_STEP = 0.05
+"""A step that matters of a magnitude, as a share of its typical size."""
+ROUNDS = 3
+"""So often a magnitude is set anew while hypotheses are scored."""
+PRUNED = 0.02
+"""Share of the largest gain seen below which a start is not followed."""
+SMALLEST = 1e-3
+"""Smallest effect that is looked for, as a share of a start."""
 BATCH = 32
 """Simulations judged together; one matrix product serves them all."""
 
@@ -83,6 +91,21 @@ class Explanation:
         unit = _unit(self.hypotheses[index], name, self.values[index][name])
         return float(np.sqrt(max(self.covariance[place, place], 0.0))) * unit
 
+    def distance(self, index: int) -> float:
+        """How far the magnitudes of a hypothesis are from nothing, in standard deviations, its shape as fitted.
+
+        A time constant and a size may be known only together: the size is told from zero all the same.
+        """
+        hypothesis, values = self.hypotheses[index], self.values[index]
+        own = [p for p, (k, n) in enumerate(self.coordinates) if k == index and n in hypothesis.magnitudes]
+        other = [p for p, (k, n) in enumerate(self.coordinates) if k == index and p not in own]
+        inside = self.covariance[np.ix_(own, own)]
+        if other:
+            across = self.covariance[np.ix_(own, other)]
+            inside = inside - across @ np.linalg.pinv(self.covariance[np.ix_(other, other)]) @ across.T
+        away = np.array([values[n] / hypothesis.scales[n] for _, n in (self.coordinates[p] for p in own)])
+        return float(np.sqrt(max(away @ np.linalg.pinv(inside) @ away, 0.0)))
+
 
 def _unit(hypothesis: Hypothesis, name: str, value: float) -> float:
     """Change of the parameter per unit of its coordinate."""
@@ -108,7 +131,10 @@ def score(
     *,
     tick: Callable[[], None] = lambda: None,
 ) -> list[Score]:
-    """Gain of every starting value of every hypothesis, its magnitude chosen as if the effect were linear in it.
+    """Gain of every starting value of every hypothesis, its magnitudes chosen as if the effect were linear in them.
+
+    An effect without a magnitude in which it is linear (a limit, say) scores what its pattern would explain at the
+    best size: a start far from the truth has the pattern but overshoots.
 
     Parameters
     ----------
@@ -122,10 +148,17 @@ def score(
     the best start of each hypothesis, best hypothesis first
     """
     left = evidence.left(residual)
-    trials = [(h, dict(start)) for h in hypotheses for start in h.starts]
     best: dict[str, Score] = {h.key: Score(h, h.starts[0], 0.0) for h in hypotheses}
-    for _ in range(2):
-        again = []
+    trials: list[tuple[Hypothesis, dict[str, float]]] = []
+    for hypothesis in hypotheses:
+        if len(hypothesis.magnitudes) < 2:
+            trials += [(hypothesis, dict(start)) for start in hypothesis.starts]
+            continue
+        combined, seen = _combined(evidence, hypothesis, left, tick)
+        trials += [(hypothesis, values) for values in combined]
+        best[hypothesis.key] = replace(best[hypothesis.key], visible=seen)
+    for _ in range(ROUNDS):
+        again: list[tuple[float, Hypothesis, dict[str, float]]] = []
         for first in range(0, len(trials), BATCH):
             some = trials[first : first + BATCH]
             columns = np.column_stack(evidence.deviations([h.effects(values) for h, values in some]))
@@ -134,37 +167,87 @@ def score(
             own = evidence.chi_squares(columns)
             along = left @ columns
             for place, (hypothesis, values) in enumerate(some):
-                gain = float(2.0 * along[place] - own[place])
+                a, o = float(along[place]), float(own[place])
+                gain = 2.0 * a - o
+                if not hypothesis.magnitudes and a > 0 and o > 1e-9:
+                    gain = a * a / o
                 known = best[hypothesis.key]
-                seen = max(known.visible, float(own[place]))
                 if gain > known.gain:
-                    known = Score(hypothesis, values, gain)
-                best[hypothesis.key] = replace(known, visible=seen)
-                better = _rescaled(hypothesis, values, float(along[place]), float(own[place]))
+                    known = replace(known, start=values, gain=gain)
+                best[hypothesis.key] = replace(known, visible=max(known.visible, o))
+                better = _rescaled(hypothesis, values, a, o)
                 if better:
-                    again.append((hypothesis, better))
-        trials = again
+                    again.append((a * a / o, hypothesis, better))
+        trials = _promising(again)
     return sorted(best.values(), key=lambda s: -s.gain)
+
+
+def _promising(
+    again: Sequence[tuple[float, Hypothesis, dict[str, float]]],
+) -> list[tuple[Hypothesis, dict[str, float]]]:
+    """What is worth a simulation at its better size: the best two of each hypothesis, and none far behind all others."""
+    most = max((gain for gain, _, _ in again), default=0.0)
+    count: dict[str, int] = {}
+    kept = []
+    for gain, hypothesis, values in sorted(again, key=lambda item: -item[0]):
+        count[hypothesis.key] = count.get(hypothesis.key, 0) + 1
+        if count[hypothesis.key] <= 2 and gain > PRUNED * most:
+            kept.append((hypothesis, values))
+    return kept
+
+
+def _combined(
+    evidence: Evidence, hypothesis: Hypothesis, left: Floats, tick: Callable[[], None]
+) -> tuple[list[dict[str, float]], float]:
+    """Starts of a hypothesis with several magnitudes: for every shape the sizes that explain most together.
+
+    Returns
+    -------
+    starts, and the largest q that a magnitude alone would make at its typical size
+    """
+    names = hypothesis.magnitudes
+    units = {n: hypothesis.scales[n] / MAGNITUDE_STEP for n in names}
+    shapes = {tuple((n, v) for n, v in start.items() if n not in names): None for start in hypothesis.starts}
+    # the others beside the first: one may mean nothing without it
+    trials = [
+        {**dict(shape), **dict.fromkeys(names, 0.0), names[0]: units[names[0]], n: units[n]}
+        for shape in shapes
+        for n in names
+    ]
+    columns = np.column_stack(evidence.deviations([hypothesis.effects(values) for values in trials]))
+    for _ in trials:
+        tick()
+    for k in range(columns.shape[1]):
+        if k % len(names):
+            columns[:, k] -= columns[:, k - k % len(names)]
+    projected = evidence.left(columns)
+    starts = []
+    for k, shape in enumerate(shapes):
+        own = slice(k * len(names), (k + 1) * len(names))
+        gram = columns[:, own].T @ projected[:, own]
+        size = np.linalg.lstsq(gram, left @ columns[:, own], rcond=1e-6)[0]
+        values = {
+            n: float(np.clip(x * units[n], *hypothesis.bounds(n))) for n, x in zip(names, size, strict=True)
+        }
+        starts.append({**dict(shape), **values})
+    return starts, float(np.max(np.sum(columns * projected, axis=0)))
 
 
 def _rescaled(
     hypothesis: Hypothesis, values: Mapping[str, float], along: float, own: float
 ) -> dict[str, float] | None:
     """The start with the magnitude that is best if the effect is linear in it; None where that says nothing new."""
-    linear = [
-        n
-        for n, v in values.items()
-        if not hypothesis.logarithmic(n) and v != 0.0 and abs(float(hypothesis.parameter(n).default)) < 1e9  # type: ignore[arg-type]
-    ]
-    if not linear or own < 1e-9:
+    names = [n for n in hypothesis.magnitudes if values[n] != 0.0]
+    if not names or own < 1e-9:
         return None
     factor = along / own
-    if not 0.02 < factor < 50 or abs(factor - 1) < 0.1:
+    if not SMALLEST < abs(factor) < 50 or abs(factor - 1) < 0.1:
         return None
-    factor = min(max(factor, 0.1), 5.0)
-    return {
-        n: float(np.clip(v * factor, *hypothesis.bounds(n))) if n in linear else v for n, v in values.items()
+    factor = min(max(factor, -5.0), 5.0)
+    better = {
+        n: float(np.clip(v * factor, *hypothesis.bounds(n))) if n in names else v for n, v in values.items()
     }
+    return better if any(better[n] != 0.0 for n in names) else None
 
 
 def switched(

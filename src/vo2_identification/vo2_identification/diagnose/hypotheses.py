@@ -26,6 +26,8 @@ __all__ = ["Hypothesis", "hypotheses"]
 
 Floats = NDArray[np.float64]
 Values = Mapping[str, float]
+INSIDE = (1.0, 0.995, 0.98, 0.95, 0.9, 0.8, 0.6)
+"""Shares of the values that a limit may leave as they are."""
 REPEATED = 8
 """So often a converter at its limit gives the same value; noise does not."""
 
@@ -65,6 +67,12 @@ class Hypothesis:
     def switches(self) -> tuple[str, ...]:
         """Parameters that are times at which the effect goes on and off."""
         return tuple(p.name for p in self.record.parameters if p.unit == "s" and abs(_neutral(p)) >= HUGE)
+
+    @property
+    def magnitudes(self) -> tuple[str, ...]:
+        """Fitted parameters in which the effect is linear as long as it is small, and which are neutral at zero."""
+        fitted = self.starts[0]
+        return tuple(n for n in fitted if _neutral(self.parameter(n)) == 0.0 and not self.logarithmic(n))
 
     def bounds(self, name: str) -> tuple[float, float]:
         """Physical range."""
@@ -119,7 +127,8 @@ def _starts(
                     continue
                 ends = np.array([end])
             else:
-                ends = np.quantile(seen, [1.0, 0.98, 0.9, 0.8, 0.6] if upper else [0.0, 0.02, 0.1, 0.2, 0.4])
+                inside = np.array(INSIDE)
+                ends = np.quantile(seen, inside if upper else 1.0 - inside)
             starts += [{p.name: float(end)} for end in dict.fromkeys(ends.tolist())]
             scales[p.name] = 0.02 * spread
         return starts, scales
@@ -135,11 +144,12 @@ def _starts(
             grids[p.name] = [0.0]
             scales[p.name] = 0.0  # set below, from the other magnitudes
         elif _neutral(p) == 0.0:
-            several = [middle] if len(free) > 1 else [0.4 * middle, 2.0 * middle]
-            grids[p.name] = several + ([-v for v in several] if (p.lower or 0.0) < 0 else [])
+            # one sign is enough: the score tells the other
+            grids[p.name] = [middle] if len(free) > 1 else [0.4 * middle, 2.0 * middle]
             scales[p.name] = 0.05 * middle
         elif middle:
-            count = 5 if len(free) > 1 else 4
+            # beside a frequency that the residual tells, the rest matters less
+            count = 2 if any(q.unit == "Hz" for q in free) else 5 if len(free) > 1 else 4
             grids[p.name] = np.geomspace(low / 3, high * 3, count).tolist()
             scales[p.name] = 0.05
         else:

@@ -22,7 +22,7 @@ from vo2_identification.diagnose.nominal import Nominal
 from vo2_identification.diagnose.part import Part
 from vo2_identification.diagnose.result import NextExperiment
 
-__all__ = ["Excitable", "library", "propose"]
+__all__ = ["Excitable", "by_hand", "library", "propose"]
 
 Floats = NDArray[np.float64]
 SEPARATED = 8.0
@@ -166,6 +166,19 @@ def propose(
         kind="manual",
         excitation=None,
         instruction=f"Change by hand what only one of them feels, and record again. {needs}.",
+    )
+
+
+def by_hand(absorbed: Explanation) -> NextExperiment:
+    """What to do about effects that act all the time and so cannot be told from a changed constant."""
+    names = [h.record.id for h in absorbed.hypotheses]
+    needs = "; ".join(f"{h.record.id}: {h.record.excitation}" for h in absorbed.hypotheses)
+    return NextExperiment(
+        why=f"Throughout this recording {' and '.join(names)} may have been at work, or a constant has changed.",
+        separates=[names[0], "unknown"],
+        kind="manual",
+        excitation=None,
+        instruction=f"Change by hand what only the effect feels while recording. {needs}.",
     )
 
 

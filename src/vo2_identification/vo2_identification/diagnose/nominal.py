@@ -32,6 +32,8 @@ __all__ = ["JUDGED_UNIT", "Nominal", "Response", "basis_of", "drive_of", "judged
 Floats = NDArray[np.float64]
 JUDGED_UNIT = {HEATER_CURRENT: "A", RESISTANCE: "log10 ohm", TIP_DEFLECTION: "m", STAGE_TEMPERATURE: "degC"}
 """Unit in which a channel is compared: resistance in decades, the others as they are."""
+MOVED = 5.0
+"""Move of a thermal parameter, in standard deviations, that may hide an effect."""
 FINE = 4
 """Steps of a sample where it counts what happens in between."""
 THERMAL = {

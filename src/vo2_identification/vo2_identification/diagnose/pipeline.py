@@ -18,9 +18,9 @@ from vo2_identification.diagnose.evidence import Evidence, gather
 from vo2_identification.diagnose.explain import Explanation, Score, fit_jointly, score, switched
 from vo2_identification.diagnose.hypotheses import Hypothesis, hypotheses
 from vo2_identification.diagnose.locate import Breakdown, breakdown
-from vo2_identification.diagnose.next_experiment import propose
+from vo2_identification.diagnose.next_experiment import by_hand, propose
 from vo2_identification.diagnose.noise import fit_noise
-from vo2_identification.diagnose.nominal import Nominal
+from vo2_identification.diagnose.nominal import MOVED, Nominal
 from vo2_identification.diagnose.part import prepare
 from vo2_identification.diagnose.result import Diagnosis, NextExperiment
 from vo2_identification.diagnose.statement import assemble
@@ -32,10 +32,12 @@ Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 SHORTLIST = 6
 """Hypotheses that are refitted in full."""
+FAINT = 25.0
+"""Score of a hypothesis from which a refit could make it worth a name."""
+BRIEF = 4
+"""Iterations after which a refit shows whether it is worth going on."""
 QUIET = 1.4
 """Residual power over noise power up to which a channel's residual is taken for its noise."""
-MOVED = 5.0
-"""Move of a thermal parameter, in standard deviations, that may hide an effect."""
 UNSEEN = 50.0
 """An effect whose typical size would change q by less than this is not excited."""
 
@@ -64,6 +66,7 @@ class Study:
     not_excited : ids of effects that these recordings would not show
     rival_pairs : named effect, rival that the recordings do not separate from it
     proposal : what to record next
+    absorbed : an effect that explains no more than a constant change of the base does, which the base has made
     """
 
     nominal: Nominal
@@ -85,6 +88,7 @@ class Study:
     not_excited: tuple[str, ...] = ()
     rival_pairs: tuple[tuple[str, str], ...] = ()
     proposal: NextExperiment | None = None
+    absorbed: Explanation | None = None
     seconds: float = 0.0
 
 
@@ -302,15 +306,22 @@ def _explained(base: Study, clock: _Clock) -> Study:
     scores = scored[0]
     clock.say("refitting the most promising")
     q_base = evidence.chi_square(evidence.residual)
-    fits: dict[str, Explanation] = {}
+    fits: dict[str, tuple[Evidence, Explanation]] = {}
     for problem, ranked in zip(problems, scored, strict=True):
-        for s in [s for s in ranked if s.gain > 0.08 * max(ranked[0].gain, 0.0)][:SHORTLIST]:
+        least = max(0.08 * ranked[0].gain, FAINT)
+        for s in [s for s in ranked if s.gain > least][:SHORTLIST]:
             start = switched(problem, s.hypothesis, s.start, problem.residual, tick=clock.tick)
-            fit = fit_jointly(problem, [s.hypothesis], [start], tick=clock.tick)
+            fit = fit_jointly(problem, [s.hypothesis], [start], iterations=BRIEF, tick=clock.tick)
             known = fits.get(s.hypothesis.key)
-            if known is None or fit.chi_square < known.chi_square:
-                fits[s.hypothesis.key] = replace(fit, gain=q_base - fit.chi_square)
-    singles = list(fits.values())
+            if known is None or fit.chi_square < known[1].chi_square:
+                fits[s.hypothesis.key] = problem, replace(fit, gain=q_base - fit.chi_square)
+    most = max((fit.gain for _, fit in fits.values()), default=0.0)
+    for key, (problem, fit) in fits.items():
+        if fit.gain > 0.5 * most:  # those that may be the answer, or its rivals, to the end
+            again = fit_jointly(problem, fit.hypotheses, fit.values, tick=clock.tick)
+            if again.chi_square < fit.chi_square:
+                fits[key] = problem, replace(again, gain=q_base - again.chi_square)
+    singles = [fit for _, fit in fits.values()]
     singles.sort(key=lambda e: e.chi_square + len(e.coordinates) * np.log(evidence.count))
     not_excited = tuple(_not_excited(scores))
     final, chosen, rivals = evidence, None, list(singles)
@@ -325,13 +336,16 @@ def _explained(base: Study, clock: _Clock) -> Study:
                 final, chosen, rivals, remaining = pair
     clock.say("judging on held-out blocks")
     judged = held_out(final, chosen, reference=evidence, tick=clock.tick)
-    outside = None
+    outside = absorbed = None
     if chosen is not None:
         rest = evidence.count * max(remaining - limits.slack, 0.0)
         complete = chosen.gain / (chosen.gain + rest)
         shows = judged.drop > limits.share * chosen.gain or judged.share > limits.share
         certain = _significant(chosen, limits)
-        if chosen.at_bound or not certain or not judged.stable or not shows or complete < limits.complete:
+        sound = certain and judged.stable and complete >= limits.complete and not chosen.at_bound
+        if sound and not shows and len(problems) > 1:
+            absorbed = chosen
+        if not sound or not shows:
             chosen, final = None, evidence
     if chosen is None:
         judged = held_out(evidence, None)
@@ -339,7 +353,14 @@ def _explained(base: Study, clock: _Clock) -> Study:
         if loud:
             clock.say("shaping what has no name")
             outside = describe_unknown(evidence, left, block_folds(evidence))
-        if outside is None or (outside.share < limits.share and base.total_excess < limits.plain):
+        silent = outside is None or (outside.share < limits.share and base.total_excess < limits.plain)
+        if silent and absorbed is not None:
+            return replace(
+                base, differs=True, absorbed=absorbed, scores=tuple(scores), singles=tuple(singles), judged=judged,
+                rivals=tuple(rivals), remaining_excess=remaining, not_excited=not_excited,
+                proposal=by_hand(absorbed),
+            )  # fmt: skip
+        if silent:
             # more residual than noise at most, and nothing in it that predicts anything
             return replace(
                 base, scores=tuple(scores), singles=tuple(singles), judged=judged, remaining_excess=remaining,
@@ -385,17 +406,12 @@ def _best_inside(explanations: Sequence[Explanation]) -> Explanation | None:
 
 
 def _significant(explanation: Explanation, limits: Thresholds) -> bool:
-    """Whether every effect has a magnitude that is told from nothing by several standard deviations."""
-    for index, hypothesis in enumerate(explanation.hypotheses):
-        ratios = []
-        for name, value in explanation.values[index].items():
-            neutral = float(hypothesis.parameter(name).default)  # type: ignore[arg-type]
-            std = explanation.std(index, name)
-            if not hypothesis.logarithmic(name) and std > 0:
-                ratios.append(abs(value - neutral) / std)
-        if ratios and max(ratios) < limits.sigmas:
-            return False
-    return True
+    """Whether the magnitudes of every effect are told from nothing by several standard deviations, together."""
+    return all(
+        explanation.distance(index) >= limits.sigmas
+        for index, hypothesis in enumerate(explanation.hypotheses)
+        if hypothesis.magnitudes
+    )
 
 
 def _trace(final: Evidence) -> Floats:

@@ -10,7 +10,7 @@ from vo2_identification.diagnose.check import limits_in_words
 from vo2_identification.diagnose.decide import probabilities
 from vo2_identification.diagnose.explain import Explanation
 from vo2_identification.diagnose.locate import locate
-from vo2_identification.diagnose.nominal import JUDGED_UNIT
+from vo2_identification.diagnose.nominal import JUDGED_UNIT, MOVED
 from vo2_identification.diagnose.result import (
     Candidate,
     ChannelFit,
@@ -45,6 +45,9 @@ def assemble(study: Study) -> Diagnosis:
     candidates, probability = _candidates(study)
     effects = _named(study, probability)
     pairs = [list(pair) for pair in study.rival_pairs]
+    limits = limits_in_words(study.findings)
+    if study.absorbed is not None:
+        limits = [*limits, _constant(study)]
     return Diagnosis(
         verdict="differs",
         location=locate(study.final, study.breakdown),
@@ -54,7 +57,7 @@ def assemble(study: Study) -> Diagnosis:
         indistinguishable=pairs,
         next_experiment=study.proposal,
         summary=_summary(study, effects, pairs),
-        limits=limits_in_words(study.findings),
+        limits=limits,
         not_excited=list(study.not_excited),
         excess=_excess(study),
         seconds=study.seconds,
@@ -137,6 +140,21 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
     return found[:12], by_key
 
 
+def _constant(study: Study) -> str:
+    """What the base had to change, and which effect would do the same."""
+    evidence = study.evidence
+    names = " and ".join(study.absorbed.keys)  # type: ignore[union-attr]
+    moved = [
+        f"{name} by {shift * spread:+.3g} ({abs(shift):.0f} standard deviations of the calibration)"
+        for name, shift, spread in zip(evidence.names, evidence.origin, evidence.spreads, strict=True)
+        if abs(shift) > MOVED
+    ]
+    return (
+        f"this recording asks for another {', '.join(moved)}; {names} acting all the time would look the same and "
+        "cannot be told from that change"
+    )
+
+
 def _explained_share(study: Study) -> float:
     best = max((e.gain for e in study.singles), default=0.0)
     return float(np.clip(best / max(study.evidence.count * study.total_excess, 1e-9), 0.0, 1.0))
@@ -183,6 +201,8 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
 
 def _unknown(study: Study) -> NamedEffect:
     outside = study.outside
+    if study.absorbed is not None:
+        return NamedEffect("unknown", 0.5, f"A constant has changed: {_constant(study)}.", "constant", {})
     shapes = outside.shapes if outside is not None else ()
     if shapes:
         words = "; ".join(
@@ -217,6 +237,8 @@ def _agrees_summary(study: Study) -> str:
 def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -> str:
     where = max(study.excess, key=lambda c: study.excess[c])
     head = f"Simulation and recording differ, most in {where} ({1 + study.excess[where]:.3g} times the noise power)."
+    if study.absorbed is not None:
+        return f"Simulation and recording differ by a constant: {_constant(study)}."
     names = [e.id + (f" on {e.signal}" if e.signal else "") for e in effects if e.id != "unknown"]
     if not names:
         share = study.outside.share if study.outside else 0.0

@@ -21,6 +21,8 @@ from vo2_identification.diagnose.part import Part
 __all__ = ["Shape", "Unnamed", "describe_unknown"]
 
 Floats = NDArray[np.float64]
+CYCLES = 5
+"""Fewest cycles within a recording that make a tone."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,11 @@ def _tone(evidence: Evidence, rows: list[Row], residual: Floats) -> float:
     e = residual[row.where]
     frequency, power = welch(e, fs=1 / part.dt, nperseg=min(4096, part.size), detrend="constant")
     floor = np.median(power)
-    k = int(np.argmax(power[2:])) + 2
+    # fewer cycles than that are a slow course as much as a tone
+    first = max(2, int(np.searchsorted(frequency, CYCLES / (part.size * part.dt))))
+    if first >= power.size:
+        return 0.0
+    k = int(np.argmax(power[first:])) + first
     if power[k] < 30 * floor:
         return 0.0
     fine = frequency[k] + np.linspace(-1.5, 1.5, 61) * (frequency[1] - frequency[0])

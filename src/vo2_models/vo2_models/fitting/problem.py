@@ -174,7 +174,9 @@ class Problem:
             else:
                 key, parameter = _effect_place(name)
                 entry = effects.setdefault(key, {"signal": key.partition(":")[2]} if ":" in key else {})
-                entry[parameter] = value
+                # exp(log(bound)) may lie a rounding outside of what the record allows
+                record = next(p for p in effect(key.partition(":")[0]).parameters if p.name == parameter)
+                entry[parameter] = float(np.clip(value, record.lower, record.upper))
             at += 1
         return scalars, banks, effects
 
