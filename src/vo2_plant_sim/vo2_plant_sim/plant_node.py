@@ -220,10 +220,11 @@ class PlantNode(Node):
             self._diagnostics.beat(self._stamp_ns)
 
     def _publish(self) -> None:
-        if self._clock_out is not None and self._index % self._clock_every == 0:
-            self._clock_out.publish(self._clock_writer.write(self._stamp_ns))
         self._publisher.publish(self._answer)
         self._published_at = time.monotonic()
+        # after the sample that the loop waits for
+        if self._clock_out is not None and self._index % self._clock_every == 0:
+            self._clock_out.publish(self._clock_writer.write(self._stamp_ns))
 
 
 def main(args: Sequence[str] | None = None) -> int:
