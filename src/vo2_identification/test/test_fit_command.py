@@ -1,8 +1,10 @@
 """`fit` from bag to model file, and what it says to bad input."""
 
+import re
+
 import numpy as np
 import pytest
-from vo2_identification.bags import write_bag
+from vo2_identification.bags import read_recording, write_bag
 from vo2_identification.fit import main
 from vo2_models.device import DeviceModel, truth
 from vo2_models.excitation import damped_oscillation, random_levels
@@ -29,12 +31,14 @@ def test_bag_to_model_file(bag, tmp_path, capsys):
         str(output),
         "--plays",
         "8",
-        "--quiet",
     ]
     assert main(arguments) == 0
     printed = capsys.readouterr()
     assert "tip_deflection: residual" in printed.out and str(output) in printed.out
-    assert printed.err == ""
+    shown = printed.err.splitlines()
+    assert len(shown) > 3 and all(
+        re.fullmatch(r"fit: +\d+ %  .*, about \d+ s left", line) for line in shown[1:]
+    )
     model = DeviceModel.load(output)
     current = np.repeat(random_levels(3.68e-3, 8.49e-3, 100, seed=9), 10)
     device = truth("integrated", seed=2).simulate(current, noise=False)
@@ -85,3 +89,37 @@ def test_unwritable_output(bag, capsys, tmp_path):
     output = str(tmp_path / "file" / "model.yaml")
     arguments = ["--bag", str(bag), "--device", "integrated", "--output", output, "--plays", "2", "--quiet"]
     assert "cannot be written" in _refused(capsys, *arguments)
+
+
+def test_a_place_that_cannot_be_written_is_told_before_the_work(capsys, tmp_path, monkeypatch):
+    def work(*_arguments, **_options):
+        raise AssertionError("worked before it looked at the place")
+
+    monkeypatch.setattr("vo2_identification.bags.read_recording", work)
+    device = ["--bag", str(tmp_path / "bag"), "--device", "integrated", "--output"]
+    assert "is a folder, need the name of a file" in _refused(capsys, *device, str(tmp_path))
+    (tmp_path / "file").write_text("not a folder")
+    message = _refused(capsys, *device, str(tmp_path / "file" / "deeper" / "model.yaml"))
+    assert "cannot be written" in message
+
+
+def test_a_wrong_unit_makes_no_model(bag, capsys, tmp_path):
+    recording, _ = read_recording(bag)
+    milli = {**recording.channels, HEATER_CURRENT: 1e3 * recording[HEATER_CURRENT]}
+    write_bag(tmp_path / "milli", Recording(recording.time_s, milli, recording.device))
+    output = str(tmp_path / "model.yaml")
+    device = ["--device", "integrated", "--output", output]
+    message = _refused(capsys, "--bag", str(tmp_path / "milli"), *device)
+    assert "milli: heater_current runs from" in message and "is it in mA?" in message
+    assert not (tmp_path / "model.yaml").exists()
+
+
+def test_interrupting_is_one_line(bag, capsys, tmp_path, monkeypatch):
+    def interrupt(*_arguments, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("vo2_models.fitting.device_fit.fit_device", interrupt)
+    output = str(tmp_path / "model.yaml")
+    assert main(["--bag", str(bag), "--device", "integrated", "--output", output, "--quiet"]) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == f"fit: interrupted; {output} is not written"
+    assert not (tmp_path / "model.yaml").exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from collections.abc import Sequence
@@ -35,25 +36,37 @@ _UNITS = {
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0, 2 on bad input."""
+    """Run the command; return its exit status: 0, 2 on bad input, 130 after Ctrl-C."""
     options = _parser().parse_args(args)
+    try:
+        return _run(options)
+    except KeyboardInterrupt:
+        print(f"fit: interrupted; {options.output} is not written", file=sys.stderr)
+        return 130
+
+
+def _run(options: argparse.Namespace) -> int:
     from vo2_models.device.presets import preset
     from vo2_models.model_file import save_model_parameters
 
     from vo2_identification.bags import read_recording
+    from vo2_identification.bags.problems import in_few_lines
 
     begun = time.monotonic()
     try:
         preset(options.device)
+        _check_place(options.output)
         recordings = []
         for bag in options.bag:
             recording, problems = read_recording(bag)
-            for problem in problems:
+            for problem in in_few_lines(problems):
                 print(f"fit: {bag}: {problem}", file=sys.stderr)
             recordings.append(_of_device(recording, options.device, bag))
-        result, parameters = model_of(recordings, options.device, plays=options.plays, quiet=options.quiet)
-        names = ", ".join(str(bag) for bag in options.bag)
-        save_model_parameters(options.output, parameters, comment=f"fitted by `fit` to {names}")
+        names = [str(bag) for bag in options.bag]
+        result, parameters = model_of(
+            recordings, options.device, plays=options.plays, quiet=options.quiet, names=names
+        )
+        save_model_parameters(options.output, parameters, comment=f"fitted by `fit` to {', '.join(names)}")
     except ValueError as error:
         return _refuse(str(error))
     except OSError as error:
@@ -65,7 +78,12 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def model_of(
-    recordings: Sequence[Recording], device: str, *, plays: int, quiet: bool = True
+    recordings: Sequence[Recording],
+    device: str,
+    *,
+    plays: int,
+    quiet: bool = True,
+    names: Sequence[str] = (),
 ) -> tuple[FitResult, dict[str, Value]]:
     """Fit a device and what builds on it; return the fit and all flat `model.*` parameters.
 
@@ -75,6 +93,7 @@ def model_of(
     device : preset id
     plays : plays of each channel's loop
     quiet : whether to leave out the progress on standard error
+    names : of the recordings, for the messages
 
     Raises
     ------
@@ -83,11 +102,19 @@ def model_of(
     from vo2_models.fitting.device_fit import fit_device
     from vo2_models.self_sensing.characterise import characterise
 
+    from vo2_identification.calibration_check import check_calibration, judge_fit
+
+    began = time.monotonic()
+
     def progress(text: str, share: float) -> None:
         if not quiet:
-            print(f"fit: {100 * share:3.0f} %  {text}", file=sys.stderr)
+            took = time.monotonic() - began
+            rest = f", about {took * (1 - share) / share:.0f} s left" if share > 0.05 else ""
+            print(f"fit: {100 * share:3.0f} %  {text}{rest}", file=sys.stderr)
 
+    recordings, notes = check_calibration(recordings, device, names=names)
     result = fit_device(recordings, device, plays=plays, progress=progress)
+    result = replace(result, notes=(*notes, *result.notes, *judge_fit(result, recordings)))
     parameters = result.model.to_parameters()
     both = [r for r in recordings if RESISTANCE in r and TIP_DEFLECTION in r]
     if both:
@@ -158,19 +185,35 @@ def _of_device(recording: Recording, device: str, bag: Path) -> Recording:
     return recording
 
 
+def _check_place(output: Path) -> None:
+    """Refuse before the work what could not be written after it."""
+    if output.is_dir():
+        raise ValueError(f"{output}: is a folder, need the name of a file, such as {output / 'model.yaml'}")
+    parent = next((folder for folder in output.absolute().parents if folder.exists()), None)
+    if parent is None or not parent.is_dir() or not os.access(parent, os.W_OK):
+        raise ValueError(f"{output}: cannot be written ({parent} is not a folder that may be written into)")
+
+
 def _summary(result: FitResult) -> list[str]:
+    from vo2_identification.calibration_check import noise_level
+
     lines = []
     for channel, sensor in result.model.sensors.items():
         unit, factor = _UNITS[channel]
-        noise = sensor.noise * (1.0 if channel == RESISTANCE else factor)
-        noise_unit = "of the value" if channel == RESISTANCE else unit
+        noise = factor * noise_level(channel, sensor.noise)
+        relative = f" ({100 * sensor.noise:.2g} % of the value)" if channel == RESISTANCE else ""
         lines.append(
-            f"{channel}: residual {factor * sensor.residual:.3g} {unit} r.m.s., noise {noise:.3g} {noise_unit}"
+            f"{channel}: residual {factor * sensor.residual:.3g} {unit} r.m.s., noise {noise:.3g} {unit}{relative}"
         )
-    for name in ("thermal.time_constant", "driver.dead_time", "thermal.ambient", "thermal.linear_gain"):
+    for name, unit in (
+        ("thermal.time_constant", "s"),
+        ("driver.dead_time", "s"),
+        ("thermal.ambient", "degC"),
+        ("thermal.linear_gain", "K/A"),
+    ):
         std = result.model.uncertainty.get(name)
         if std:
-            lines.append(f"{name}: {result.model.scalars[name]:.5g} +- {std[0]:.2g}")
+            lines.append(f"{name}: {result.model.scalars[name]:.5g} +- {std[0]:.2g} {unit}")
     return lines + [f"note: {note}" for note in result.notes]
 
 
@@ -192,7 +235,10 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _plays(text: str) -> int:
-    count = int(text)
+    try:
+        count = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"found {text!r}, need a whole number from 2 to 40") from None
     if not 2 <= count <= 40:
         raise argparse.ArgumentTypeError(f"found {count}, need 2 to 40")
     return count

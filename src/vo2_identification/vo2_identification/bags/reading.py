@@ -58,9 +58,10 @@ def read_recording(path: str | Path, *, namespace: str = "/vo2") -> tuple[Record
     """
     recordings, problems = read_bag(path, namespace=namespace, roles=("measurement", "command"))
     if "measurement" not in recordings:
+        others = [str(problem) for problem in problems if problem.kind != "missing_topic"][:3]
         raise BagError(
             f"{path}: found no samples on a topic {namespace}/measurement (or .../measurement of type "
-            f"{JOINT_STATE}), need them; {'; '.join(map(str, problems[:3]))}"
+            f"{JOINT_STATE}), need them" + "".join(f"; {other}" for other in others)
         )
     measurement = recordings["measurement"]
     command = recordings.get("command")
@@ -111,6 +112,8 @@ def read_bag(
         name = _topic_of(role, namespace, samples, problems)
         if name is None:
             text = f"no samples on this topic, nor on another .../{role} of type {JOINT_STATE}"
+            if role == "command":
+                text = f"no commands in this bag: the logged {HEATER_CURRENT} counts as the drive"
             problems.append(Problem("missing_topic", f"{namespace.rstrip('/')}/{role}", text))
             continue
         recording = _recording(name, samples[name], channels, problems, regular=role != "reference")

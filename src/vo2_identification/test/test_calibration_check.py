@@ -1,0 +1,147 @@
+"""What `fit` refuses to make a model of, and what it says beside a model."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from vo2_identification.calibration_check import check_calibration, judge_fit
+from vo2_identification.fit import model_of
+from vo2_identification.plausibility import impossible, unusual
+from vo2_models.device.model import DeviceModel, SensorModel
+from vo2_models.fitting.device_fit import FitResult
+from vo2_models.recording import (
+    HEATER_CURRENT,
+    RESISTANCE,
+    STAGE_TEMPERATURE,
+    TIP_DEFLECTION,
+    Recording,
+)
+
+COUNT = 1200
+
+
+@pytest.fixture
+def recording():
+    """A rig's numbers, by a formula of their own: two turns up and down, resistance and tip along them."""
+    phase = np.linspace(0.0, 4 * np.pi, COUNT)
+    heat = 0.5 * (1 - np.cos(phase))
+    noise = np.random.default_rng(0).standard_normal((2, COUNT))
+    channels = {
+        HEATER_CURRENT: 8.4e-3 * heat,
+        RESISTANCE: 10 ** (5.3 - 1.2 * heat) * (1 + 0.002 * noise[0]),
+        TIP_DEFLECTION: 57e-6 * heat + 5e-8 * noise[1],
+    }
+    return Recording(1e-3 * np.arange(COUNT), channels, "integrated")
+
+
+def with_channel(recording, **changed):
+    return replace(recording, channels={**recording.channels, **changed})
+
+
+def test_a_good_recording_passes_unchanged_and_without_a_word(recording):
+    checked, notes = check_calibration([recording], "integrated")
+    assert notes == []
+    assert checked[0].channels.keys() == recording.channels.keys()
+    for name, values in recording.channels.items():
+        np.testing.assert_array_equal(checked[0][name], values)
+
+
+@pytest.mark.parametrize(
+    ("channel", "change", "said"),
+    [
+        (HEATER_CURRENT, lambda x: 1e3 * x, r"heater_current runs from 0 to 8\.4 A.*is it in mA\?"),
+        (HEATER_CURRENT, lambda x: -x, r"heater_current runs from -0\.0084.*is its sign reversed\?"),
+        (HEATER_CURRENT, lambda x: 2 * x, r"allows 0 to 0\.01278 A: check the unit$"),
+        (TIP_DEFLECTION, lambda x: 1e6 * x, r"is it in um\?"),
+        (RESISTANCE, lambda x: -x, r"film_resistance is not above zero"),
+    ],
+)
+def test_what_the_device_cannot_have_is_refused(recording, channel, change, said):
+    wrong = with_channel(recording, **{channel: change(recording[channel])})
+    with pytest.raises(ValueError, match=rf"^sweep: .*{said}"):
+        check_calibration([wrong], "integrated", names=["sweep"])
+
+
+def test_kelvin_in_place_of_degrees_is_refused(recording):
+    wrong = with_channel(recording, **{STAGE_TEMPERATURE: np.linspace(300.0, 360.0, COUNT)})
+    assert "is it in K?" in impossible(wrong, "peltier")[0]
+    right = with_channel(recording, **{STAGE_TEMPERATURE: np.linspace(27.0, 87.0, COUNT)})
+    assert impossible(right, "peltier") == []
+
+
+def test_a_clock_and_a_length_that_cannot_be_are_refused(recording):
+    with pytest.raises(ValueError, match=r"a sample every 1e-06 s, need at least 2\.5e-05 s"):
+        check_calibration([replace(recording, time_s=recording.time_s / 1000)], "integrated")
+    with pytest.raises(ValueError, match="recording 2: found 499 samples, need at least 500"):
+        check_calibration([recording, recording.slice(0, 499)], "integrated")
+
+
+def test_what_may_be_is_doubted(recording):
+    kilo = with_channel(recording, **{RESISTANCE: recording[RESISTANCE] / 1000})
+    (note,) = check_calibration([kilo], "integrated", names=["sweep"])[1]
+    assert note.startswith("sweep: film_resistance runs from 12") and "is it in kohm?" in note
+    few = recording[RESISTANCE] * np.where(np.arange(COUNT) % 100 == 7, -1.0, 1.0)
+    (note,) = unusual(with_channel(recording, **{RESISTANCE: few}), "integrated")
+    assert note == "film_resistance is not above zero in 12 samples, which count as missing"
+
+
+def test_an_empty_channel_is_left_out_and_a_thin_one_named(recording):
+    nothing = np.full(COUNT, np.nan)
+    (one,), notes = check_calibration([with_channel(recording, **{RESISTANCE: nothing})], "integrated")
+    assert RESISTANCE not in one and TIP_DEFLECTION in one
+    assert notes == ["recording 1: film_resistance has no value at all and is left out"]
+    thin = np.where(np.arange(COUNT) % 4, np.nan, recording[TIP_DEFLECTION])
+    (note,) = check_calibration([with_channel(recording, **{TIP_DEFLECTION: thin})], "integrated")[1]
+    assert note == "recording 1: tip_deflection has no value in 75 % of the samples"
+
+
+def test_gaps_and_a_missing_branch_are_said(recording):
+    keep = np.r_[0:400, 600:COUNT]
+    holed = Recording(
+        recording.time_s[keep], {k: v[keep] for k, v in recording.channels.items()}, recording.device
+    )
+    (note,) = check_calibration([holed], "integrated")[1]
+    assert "1 gaps are 16.8 % of the time" in note
+    up = recording.slice(600, 1190)
+    rising = with_channel(up, **{HEATER_CURRENT: np.linspace(0, 8e-3, len(up))})
+    (note,) = check_calibration([rising], "integrated")[1]
+    assert note.startswith("the current only goes one way: the cooling branch is a guess")
+    falling = with_channel(up, **{HEATER_CURRENT: np.linspace(8e-3, 0, len(up))})
+    assert check_calibration([rising, falling], "integrated")[1] == []
+    # the peltier device heats with a negative current
+    assert "the heating branch is a guess" in check_calibration([rising], "peltier")[1][-1]
+
+
+def fitted(recording, **residuals):
+    """The fit whose residuals [log10 ohm, m] are those given, at the preset's noise."""
+    noise = {RESISTANCE: 2e-3, TIP_DEFLECTION: 5e-8}
+    sensors = {
+        channel: SensorModel(noise=noise[channel], colour=(), residual=size, residual_colour=0.0)
+        for channel, size in residuals.items()
+    }
+    return FitResult(
+        model=replace(DeviceModel("integrated"), sensors=sensors),
+        path=np.zeros(len(recording)),
+        ends=(len(recording),),
+        residuals={},
+        settled=False,
+        notes=(),
+    )
+
+
+def test_a_fit_is_judged_by_what_it_leaves(recording):
+    good = fitted(recording, film_resistance=1.5e-3, tip_deflection=8e-8)
+    assert judge_fit(good, [recording]) == []
+    (note,) = judge_fit(fitted(recording, film_resistance=1.5e-3, tip_deflection=6.5e-6), [recording])
+    assert note.startswith("tip_deflection is fitted poorly: 6.5 um r.m.s. are left of a span of 57")
+    with pytest.raises(
+        ValueError, match=r"film_resistance does not follow this current in a loop.* 0 % of its"
+    ):
+        judge_fit(fitted(recording, film_resistance=0.5, tip_deflection=8e-8), [recording])
+
+
+def test_noise_is_not_made_a_model_of(recording):
+    noise = np.random.default_rng(3).standard_normal((2, COUNT))
+    nothing = {RESISTANCE: 1e5 * np.exp(0.3 * noise[0]), TIP_DEFLECTION: 3e-5 + 1e-5 * noise[1]}
+    with pytest.raises(ValueError, match="does not follow this current in a loop"):
+        model_of([with_channel(recording, **nothing)], "integrated", plays=2)
