@@ -6,13 +6,13 @@ The same nodes, topics and parameters as in separate processes; `--with-referenc
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Callable, Sequence
 
 from rclpy.node import Node
-from rclpy.utilities import remove_ros_args
 from vo2_estimation.estimator_node import EstimatorNode
-from vo2_plant_sim.interface.executable import run_nodes
+from vo2_plant_sim.interface.executable import beside_ros_arguments, run_nodes
 from vo2_plant_sim.plant_node import PlantNode
 
 from vo2_control.controller_node import ControllerNode
@@ -26,7 +26,11 @@ _OPTIONS = ("--with-reference", "--without-plant")
 def main(args: Sequence[str] | None = None) -> int:
     """Run the composed nodes until SIGINT or SIGTERM."""
     line = list(sys.argv if args is None else args)
-    options = remove_ros_args(line)[1:]
+    try:
+        options = beside_ros_arguments(line)
+    except ValueError as error:
+        print(f"loop: {error}", file=sys.stderr)
+        return 2
     unknown = [option for option in options if option not in (*_OPTIONS, "-h", "--help")]
     if unknown:
         print(
@@ -34,6 +38,8 @@ def main(args: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 2
+    if {"-h", "--help"} & set(options):
+        print(inspect.cleandoc(__doc__ or "") + "\n")
     nodes: list[Callable[[], Node]] = [EstimatorNode, ControllerNode]
     if "--with-reference" in options:
         nodes.append(ReferenceNode)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import gc
 import inspect
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Protocol
 
 import rclpy
@@ -15,13 +17,12 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-__all__ = ["RigNode", "StopFlag", "fastest_executor", "run_nodes"]
+from vo2_plant_sim.interface.usage import ARGUMENTS, usage
+
+__all__ = ["RigNode", "StopFlag", "beside_ros_arguments", "fastest_executor", "run_nodes"]
 
 _SPIN_S = 0.05
-_USAGE = (
-    "nodes take ROS arguments only: --ros-args -p NAME:=VALUE, --params-file FILE, -r __ns:=/NAMESPACE; "
-    "`ros2 param describe` tells what each parameter is"
-)
+_BAD_FILE = re.compile(r"params file: '--params-file (.*?)'\. Error: (.*?)(?:, at /.*)?$")
 
 
 class StopFlag:
@@ -50,6 +51,27 @@ class RigNode(Protocol):
         """Leave the rig safe and files readable; the node can still publish."""
 
 
+def beside_ros_arguments(line: Sequence[str]) -> list[str]:
+    """Return what stands on a command line (program first) beside the ROS arguments.
+
+    Raises
+    ------
+    ValueError : ROS arguments that cannot be used, such as a parameter file that is not there; one line.
+    """
+    try:
+        return list(remove_ros_args(list(line))[1:])
+    except Exception as error:  # rclpy raises bare RuntimeError subclasses of its C layer here
+        text = " ".join(str(error).split())
+        if found := _BAD_FILE.search(text):
+            path, reason = found.groups()
+            there = Path(path).is_file()
+            why = f"cannot be read as a ROS parameter file ({reason})" if there else "found no such file"
+            raise ValueError(
+                f"--params-file {path}: {why}; give one that `fit` or `identifier` wrote"
+            ) from error
+        raise ValueError(text) from error
+
+
 def fastest_executor(context: rclpy.Context | None = None) -> Executor:
     """Return the executor with the lowest latency that this rclpy has.
 
@@ -69,15 +91,17 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
     A parameter or argument that cannot be used ends with one line on standard error and status 2.
     """
     program = sys.argv[0].rsplit("/", 1)[-1]
-    extra = remove_ros_args(list(sys.argv if args is None else args))[1:]
+    try:
+        extra = beside_ros_arguments(list(sys.argv if args is None else args))
+    except ValueError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return 2
     if extra:
-        texts = [inspect.getdoc(inspect.getmodule(make)) or "" for make in make_nodes]
-        asked = set(extra) <= {"-h", "--help"}
-        print(
-            "\n\n".join([*texts, _USAGE]) if asked else f"{program}: found {' '.join(extra)}; {_USAGE}",
-            file=sys.stderr,
-        )
-        return 0 if asked else 2
+        if set(extra) <= {"-h", "--help"}:
+            print("\n\n".join([*(usage(inspect.getmodule(make)) for make in make_nodes), ARGUMENTS]))
+            return 0
+        print(f"{program}: found {' '.join(extra)}; {ARGUMENTS}", file=sys.stderr)
+        return 2
     stop = StopFlag()
     nodes: list[Node] = []
     try:
