@@ -151,8 +151,8 @@ def correction_figure(recording: Recording, before: Recording, after: Recording)
             gap = np.log10(recording[RESISTANCE] / model[RESISTANCE])
             top.plot(time, gap, **look)
             bottom.plot(time, (recording[TIP_DEFLECTION] - model[TIP_DEFLECTION]) * _UM, **look)
-        top.set(ylabel="log10 resistance")
-        bottom.set(xlabel="time [s]", ylabel="deflection [µm]")
+        top.set(ylabel="residual of\nlog10(R / Ω)")
+        bottom.set(xlabel="time [s]", ylabel="residual of\ndeflection [µm]")
         figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=2)
         return figure_html(
             figure, "Recording minus simulation, with the identified and with the corrected model."

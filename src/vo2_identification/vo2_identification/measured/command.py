@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
 import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from vo2_identification.reproduce.pool import interrupt_is_ours
 
 if TYPE_CHECKING:
     from vo2_identification.measured.report import SetReport
@@ -24,7 +27,17 @@ what may be missing, let the diagnosis look at them, and show on data that no fi
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0 whatever was found, 2 without data or on bad input."""
+    """Run the command; return its exit status: 0 whatever was found, 2 without data or on bad input, 130 after Ctrl-C."""
+    try:
+        return _run(arguments)
+    except KeyboardInterrupt:
+        print(
+            "measured: interrupted; the sets named so far stand in no report, run it again", file=sys.stderr
+        )
+        return 130
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     from vo2_identification.measured.sources import SOURCES
 
     options = _parser(tuple(SOURCES)).parse_args(arguments)
@@ -39,6 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     missing = [SOURCES[key].file for key in keys if key not in there]
     if not there:
         return _refuse(f"--data: found none of {', '.join(missing)} in {data}, need at least one")
+    if options.jobs < 1:
+        return _refuse(f"--jobs: found {options.jobs}, need at least 1")
     from vo2_identification.measured.report import write_report
     from vo2_identification.measured.words import across_sets, diagnosis_sentence, verdict
 
@@ -46,19 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         options.output.mkdir(parents=True, exist_ok=True)
         workers = min(len(there), options.jobs)
-        with ProcessPoolExecutor(workers) as pool:
-            jobs = {
-                pool.submit(_study, key, data, options.output, not options.no_diagnosis, options.quiet): key
-                for key in there
-            }
-            for job in as_completed(jobs):
-                report = job.result()
-                reports[jobs[job]] = report
-                print(
-                    f"{report.source.title} ({report.seconds:.0f} s)\n  {verdict(report.study)}", flush=True
-                )
-                if report.diagnosis is not None:
-                    print(f"  {diagnosis_sentence(report.diagnosis)}", flush=True)
+        for key, report in _studies(there, data, options, workers):
+            reports[key] = report
+            print(f"{report.source.title} ({report.seconds:.0f} s)\n  {verdict(report.study)}", flush=True)
+            if report.diagnosis is not None:
+                print(f"  {diagnosis_sentence(report.diagnosis)}", flush=True)
         for text in across_sets([reports[key].study for key in there]):
             print(text)
         html, answer = write_report(options.output, [reports[key] for key in there], missing)
@@ -70,6 +77,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"measured: {data / name} is not there: left out", file=sys.stderr)
     print(f"{html}\n{answer}")
     return 0
+
+
+def _studies(
+    keys: Sequence[str], data: Path, options: argparse.Namespace, workers: int
+) -> Iterator[tuple[str, SetReport]]:
+    """Yield set and report in the order in which the sets are done."""
+    before = set(multiprocessing.active_children())
+    # spawn: a fork of a process whose libraries run threads may hang
+    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        try:
+            with interrupt_is_ours():
+                jobs = {
+                    pool.submit(
+                        _study, key, data, options.output, not options.no_diagnosis, options.quiet
+                    ): key
+                    for key in keys
+                }
+            for job in as_completed(jobs):
+                yield jobs[job], job.result()
+        except (KeyboardInterrupt, GeneratorExit):  # the latter where the caller was interrupted
+            for child in set(multiprocessing.active_children()) - before:
+                child.terminate()
+            raise
 
 
 def _study(key: str, data: Path, output: Path, diagnose: bool, quiet: bool) -> SetReport:

@@ -298,7 +298,8 @@ def _unstable(chosen: Judgement, sigmas: float) -> list[str]:
             values = [fit.values[name] for fit in chosen.fits]
             distance = min(abs(fit.values[name]) / max(fit.std[name], 1e-300) for fit in chosen.fits)
             if distance < sigmas:
-                found.append(f"{name} is {distance:.1f} standard deviations from nothing, need {sigmas:g}")
+                short = np.floor(10 * distance) / 10  # never rounded up to what is needed
+                found.append(f"{name} is {short:.1f} standard deviations from nothing, need {sigmas:g}")
             low, high = min(values), max(values)
             if low * high <= 0.0 or max(abs(low), abs(high)) > 2.5 * min(abs(low), abs(high)):
                 found.append(f"{name} runs from {low:.3g} to {high:.3g} between the folds")

@@ -10,7 +10,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
 
-__all__ = ["run_many"]
+__all__ = ["interrupt_is_ours", "run_many"]
 
 Job = TypeVar("Job")
 Found = TypeVar("Found")
@@ -37,7 +37,7 @@ def run_many(
     # spawn: a fork of a process whose libraries run threads may hang
     with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
         try:
-            with _interrupt_is_ours():
+            with interrupt_is_ours():
                 chunks = [pool.submit(_several, work, jobs[k : k + size]) for k in range(0, len(jobs), size)]
             for chunk in chunks:
                 found.extend(chunk.result())
@@ -54,7 +54,7 @@ def _several(work: Callable[[Job], Found], jobs: Sequence[Job]) -> list[Found]:
 
 
 @contextmanager
-def _interrupt_is_ours() -> Iterator[None]:
+def interrupt_is_ours() -> Iterator[None]:
     """Processes started inside ignore Ctrl-C: this process ends them, without one traceback from each."""
     if threading.current_thread() is not threading.main_thread():
         yield
