@@ -31,10 +31,14 @@ class Thresholds:
     sigmas : least distance of a magnitude from neutral, in its standard deviations
     slack : residual power beyond the noise, in noise powers, that unchanged devices show too
     complete : share of the excess beyond that which names must explain together, else "unknown" is the answer
+    complete_rivalled : the same for a single name where another effect alone explains more than...
+    dominated : ... this share of what it does: an equation that is a little off has no rival
+    complete_pair : the same for two names: two wrong ones together fit much
     share : least share of a name's gain that must show on held-out blocks, and of the excess that an unnamed
         correction must remove there
     second : a second effect explains at least this share of what the first leaves over...
     second_of_all : ... and this share of the whole excess
+    thorough : from this share of what is left over on, the next two do not matter: no wrong equation leaves so little
     alike : ... and its pattern has at most this cosine with the first's: an equation that is a little off leaves
         something like itself
     excess, channel_excess : where nothing is named, a recording differs if the residual's power exceeds the noise
@@ -48,9 +52,13 @@ class Thresholds:
     sigmas: float = 4.0
     slack: float = 0.12
     complete: float = 0.75
+    complete_rivalled: float = 0.9
+    dominated: float = 0.5
+    complete_pair: float = 0.95
     share: float = 0.25
     second: float = 0.45
     second_of_all: float = 0.005
+    thorough: float = 0.85
     alike: float = 0.25
     excess: float = 0.25
     channel_excess: float = 0.4

@@ -32,6 +32,8 @@ __all__ = ["JUDGED_UNIT", "Nominal", "Response", "basis_of", "drive_of", "judged
 Floats = NDArray[np.float64]
 JUDGED_UNIT = {HEATER_CURRENT: "A", RESISTANCE: "log10 ohm", TIP_DEFLECTION: "m", STAGE_TEMPERATURE: "degC"}
 """Unit in which a channel is compared: resistance in decades, the others as they are."""
+RINGING = 0.05
+"""Cycles per sample from which a mode follows what happens between samples."""
 MOVED = 5.0
 """Move of a thermal parameter, in standard deviations, that may hide an effect."""
 FINE = 4
@@ -192,7 +194,7 @@ class Nominal:
         if settled:
             lead = int(np.ceil(10 * (c[Coefficient.TIME_CONSTANT] + c[Coefficient.DEAD_TIME]) / dt))
             current = np.concatenate([np.full(lead, current[0]), current])
-        fine = FINE if _between_samples(chain.coefficients) else 1
+        fine = FINE if _between_samples(chain.coefficients, dt) else 1
         if fine > 1:
             current, dt = np.repeat(current, fine), dt / fine
         # a candidate may drive the simulation out of anything physical: it must only look very wrong
@@ -209,10 +211,11 @@ class Nominal:
         return Response({k: v[lead:] for k, v in found.items()}, film[lead:])
 
 
-def _between_samples(c: Floats) -> bool:
-    """Whether what happens between two samples counts: a late or slow sensor sees it, a slow driver makes it."""
+def _between_samples(c: Floats, dt: float) -> bool:
+    """Whether what happens between two samples counts: a late or slow sensor or a fast mode feels it, a slow driver makes it."""
     late = [sensor_index(channel, sensor) for channel in CHANNELS for sensor in (Sensor.LAG, Sensor.CLOCK)]
-    return bool(np.any(c[late] > 0.0) or c[Coefficient.SLEW] < HUGE)
+    rings = c[Coefficient.MODE_SHARE] != 0.0 and c[Coefficient.MODE_FREQUENCY] * dt > RINGING
+    return bool(np.any(c[late] > 0.0) or c[Coefficient.SLEW] < HUGE or rings)
 
 
 def basis_of(device: str) -> EnrichmentBasis:

@@ -332,17 +332,21 @@ def _explained(base: Study, clock: _Clock) -> Study:
         remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0
         if final.count * remaining > limits.gain:
             pair = _second(base, final, chosen, candidates, clock)
-            if pair is not None:
+            if pair is not None and _complete(pair[1], pair[3], evidence, limits) >= limits.complete_pair:
                 final, chosen, rivals, remaining = pair
     clock.say("judging on held-out blocks")
     judged = held_out(final, chosen, reference=evidence, tick=clock.tick)
     outside = absorbed = None
     if chosen is not None:
-        rest = evidence.count * max(remaining - limits.slack, 0.0)
-        complete = chosen.gain / (chosen.gain + rest)
+        complete = _complete(chosen, remaining, evidence, limits)
+        needed = (
+            limits.complete
+            if len(chosen.keys) > 1 or _dominates(singles, limits)
+            else limits.complete_rivalled
+        )
         shows = judged.drop > limits.share * chosen.gain or judged.share > limits.share
         certain = _significant(chosen, limits)
-        sound = certain and judged.stable and complete >= limits.complete and not chosen.at_bound
+        sound = certain and judged.stable and complete >= needed and not chosen.at_bound
         if sound and not shows and len(problems) > 1:
             absorbed = chosen
         if not sound or not shows:
@@ -405,6 +409,19 @@ def _best_inside(explanations: Sequence[Explanation]) -> Explanation | None:
     return explanations[0]
 
 
+def _complete(explanation: Explanation, remaining: float, evidence: Evidence, limits: Thresholds) -> float:
+    """Share of the excess beyond what unchanged devices show that an explanation takes away."""
+    rest = evidence.count * max(remaining - limits.slack, 0.0)
+    return explanation.gain / (explanation.gain + rest)
+
+
+def _dominates(singles: Sequence[Explanation], limits: Thresholds) -> bool:
+    """Whether no other effect alone comes near the best."""
+    own = singles[0].hypotheses[0].record.id
+    others = [e.gain for e in singles[1:] if e.hypotheses[0].record.id != own]
+    return max(others, default=0.0) < limits.dominated * singles[0].gain
+
+
 def _significant(explanation: Explanation, limits: Thresholds) -> bool:
     """Whether the magnitudes of every effect are told from nothing by several standard deviations, together."""
     return all(
@@ -463,7 +480,7 @@ def _second(
     """Look for one more effect beside those found; None if no other is worth it.
 
     What an equation of the first that is not quite right leaves over resembles the first: a second effect must
-    explain most of what is left, and must not act like the first.
+    explain most of what is left, and must not act like the first, unless it leaves next to nothing.
     """
     limits = base.thresholds
     clock.say("looking for a second effect")
@@ -472,11 +489,6 @@ def _second(
     residual = about.residual - first.deviation
     scores = score(about, others, residual, tick=clock.tick)
     before = about.chi_square(residual)
-    needed = max(
-        limits.gain,
-        limits.second * (before - about.count),
-        limits.second_of_all * base.total_excess * about.count,
-    )
     pairs = []
     for s in [s for s in scores if s.gain > max(limits.gain, 0.1 * scores[0].gain)][:5]:
         start = switched(about, s.hypothesis, s.start, residual, tick=clock.tick)
@@ -486,9 +498,15 @@ def _second(
         if not joint.at_bound:
             pairs.append(joint)
     pairs.sort(key=lambda e: e.chi_square)
-    if not pairs or before - pairs[0].chi_square < needed:
+    if not pairs:
         return None
-    if _alike(about, pairs[0]) > limits.alike:
+    drop, leftover = before - pairs[0].chi_square, before - about.count
+    if drop < max(limits.gain, limits.second * leftover):
+        return None
+    if drop < limits.thorough * leftover and (
+        drop < limits.second_of_all * base.total_excess * about.count
+        or _alike(about, pairs[0]) > limits.alike
+    ):
         return None
     final, chosen = _relinearised(base, pairs[0], clock)
     remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0
