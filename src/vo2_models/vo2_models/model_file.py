@@ -45,10 +45,14 @@ def save_model_parameters(path: str | Path, parameters: Mapping[str, Value], *, 
     text = head + yaml.safe_dump({"/**": {"ros__parameters": plain}}, sort_keys=True, width=100)
     target.parent.mkdir(parents=True, exist_ok=True)
     handle, partial = tempfile.mkstemp(dir=target.parent, prefix=target.name, suffix=".part")
-    with os.fdopen(handle, "w", encoding="utf-8") as stream:
-        stream.write(text)
-    os.chmod(partial, 0o644)
-    os.replace(partial, target)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write(text)
+        os.chmod(partial, 0o644)
+        os.replace(partial, target)
+    except BaseException:
+        os.unlink(partial)  # a full disk or Ctrl-C leaves nothing beside the place
+        raise
 
 
 def load_model_parameters(path: str | Path) -> dict[str, Value]:
@@ -64,8 +68,9 @@ def load_model_parameters(path: str | Path) -> dict[str, Value]:
         raise ValueError(
             f"{path}: cannot be read ({error.strerror}); give a file that `fit` wrote"
         ) from error
-    except yaml.YAMLError as error:
-        raise ValueError(f"{path}: is not YAML ({error}); give a file that `fit` wrote") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        why = " ".join(str(error).split())
+        raise ValueError(f"{path}: is not YAML ({why}); give a file that `fit` wrote") from error
     found: dict[str, Value] = {}
     for section in (content or {}).values() if isinstance(content, dict) else ():
         if isinstance(section, dict):
