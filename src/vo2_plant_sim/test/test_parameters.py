@@ -50,7 +50,7 @@ def test_values_from_the_command_line_are_given_and_defaults_are_not():
     [
         ("gain:=11.0", "gain: need a number with a decimal point, 0 to 10 A/m"),
         ("gain:=1", "gain: need a number with a decimal point"),
-        ("count:=9", "count: need a whole number, 1 to 5"),
+        ("count:=9", "count: need a whole number, 1 to 5 ("),
         ("kind:=bang", "kind: need one of pi, pid"),
         ("levels:=[0.5, 7.0]", "levels: need an array"),
     ],

@@ -196,6 +196,9 @@ def _needs(record: Parameter) -> str:
         return f"need one of {', '.join(record.choices)}"
     if record.lower is None and record.upper is None:
         return f"need {kind}"
-    low = "-inf" if record.lower is None else f"{record.lower:g}"
-    high = "inf" if record.upper is None else f"{record.upper:g}"
-    return f"need {kind}, {low} to {high} {record.unit}".rstrip()
+    low, high = (
+        text if end is None else str(int(end)) if record.type == "int" else f"{end:g}"
+        for end, text in ((record.lower, "-inf"), (record.upper, "inf"))
+    )
+    unit = "" if record.unit == "1" else record.unit
+    return f"need {kind}, {low} to {high} {unit}".rstrip()
