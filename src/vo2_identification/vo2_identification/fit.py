@@ -64,7 +64,12 @@ def _run(options: argparse.Namespace) -> int:
             recordings.append(_of_device(recording, options.device, bag))
         names = [str(bag) for bag in options.bag]
         result, parameters = model_of(
-            recordings, options.device, plays=options.plays, quiet=options.quiet, names=names
+            recordings,
+            options.device,
+            plays=options.plays,
+            quiet=options.quiet,
+            names=names,
+            self_sensing=not options.simulation_only,
         )
         save_model_parameters(options.output, parameters, comment=f"fitted by `fit` to {', '.join(names)}")
     except ValueError as error:
@@ -84,6 +89,7 @@ def model_of(
     plays: int,
     quiet: bool = True,
     names: Sequence[str] = (),
+    self_sensing: bool = True,
 ) -> tuple[FitResult, dict[str, Value]]:
     """Fit a device and what builds on it; return the fit and all flat `model.*` parameters.
 
@@ -94,6 +100,7 @@ def model_of(
     plays : plays of each channel's loop
     quiet : whether to leave out the progress on standard error
     names : of the recordings, for the messages
+    self_sensing : whether to fit the laws of self-sensing too, which `estimator` needs and `diagnose` does not
 
     Raises
     ------
@@ -118,8 +125,9 @@ def model_of(
     parameters = result.model.to_parameters()
     both = [r for r in recordings if RESISTANCE in r and TIP_DEFLECTION in r]
     if both:
-        progress("self-sensing", 0.95)
-        parameters |= characterise(max(both, key=len), parameters)
+        if self_sensing:
+            progress("self-sensing", 0.95)
+            parameters |= characterise(max(both, key=len), parameters)
         parameters |= _digest(result, both[0] is recordings[0])
     return result, parameters
 
@@ -230,6 +238,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--device", required=True, help="device preset: integrated or peltier")
     parser.add_argument("--output", type=Path, required=True, help="model file to write (YAML)")
     parser.add_argument("--plays", type=_plays, default=12, help="plays of each channel's loop (default 12)")
+    parser.add_argument(
+        "--simulation-only",
+        action="store_true",
+        help="leave out the laws of self-sensing, which `estimator` needs and `diagnose` does not: half the time",
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress on standard error")
     return parser
 

@@ -93,7 +93,7 @@ class CaseRunner:
 
     settings: Settings
     paths: Paths
-    fit: Sequence[str] = (sys.executable, "-m", "vo2_identification.fit")
+    fit: Sequence[str] = (sys.executable, "-m", "vo2_identification.fit", "--simulation-only")
     diagnose: Sequence[str] = (sys.executable, "-m", "vo2_identification.diagnose")
     timeout_s: float = 300.0
     keep_bags: bool = False
