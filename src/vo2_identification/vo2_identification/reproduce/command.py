@@ -57,12 +57,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
     wanted = [m for m in known if not options.only or any(_belongs(m.NUMBER, o) for o in options.only)]
     if not wanted:
         print(
-            f"--only: found {', '.join(options.only)}, need one of {', '.join(m.NUMBER for m in known)}",
+            f"reproduce: --only: found {', '.join(options.only)}, need one of {', '.join(m.NUMBER for m in known)}",
             file=sys.stderr,
         )
         return 2
     if min(options.draws, options.robust_draws, options.workers) < 1:
-        print("--draws, --robust-draws, --workers: need at least 1", file=sys.stderr)
+        print("reproduce: --draws, --robust-draws, --workers: need at least 1", file=sys.stderr)
         return 2
     try:
         options.output.mkdir(parents=True, exist_ok=True)
@@ -70,7 +70,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         target.touch()
     except OSError as error:
         print(
-            f"--output: cannot write {options.output} ({error.strerror}); give a writable folder",
+            f"reproduce: --output: cannot write {options.output} ({error.strerror}); give a writable folder",
             file=sys.stderr,
         )
         return 2
