@@ -57,6 +57,7 @@ def _current(device: str) -> np.ndarray:
         up = np.linspace(3.68e-3, 8.49e-3, 40)
         return np.repeat(np.concatenate([up, up[::-1], rng.uniform(3.68e-3, 8.49e-3, 60)]), 12)
     ramp = [np.linspace(0.05, -1.15, 30), np.linspace(-1.15, 0.4, 30), rng.uniform(-1.15, 0.05, 20)]
+    ramp.append(np.full(16, -0.74))  # a hold inside the loop, long enough to come to rest
     return np.repeat(np.concatenate(ramp), 40)
 
 
@@ -242,6 +243,24 @@ def test_non_hysteretic_branch_has_a_slope_and_no_area():
     extra = np.polyfit(t, d1 - d0, 1)
     assert extra[0] > 0.2 * 0.02 * 57e-6
     assert np.std(d1 - d0 - np.polyval(extra, t)) < 0.05 * np.std(d1 - d0)
+
+
+def test_a_reversible_share_narrows_the_loop_by_that_share():
+    ramp = np.repeat(np.r_[np.linspace(4e-3, 8.4e-3, 400), np.linspace(8.4e-3, 4e-3, 400)], 4)
+    base, run = _pair("non_hysteretic_branches", "integrated", ramp, share=0.2)
+    t, turn = base["true_temperature"], int(np.argmax(base["true_temperature"]))
+    grid = np.linspace(50.0, 75.0, 40)
+
+    def branches(found):
+        d = found["true_tip_deflection"]
+        heating = np.interp(grid, t[:turn], d[:turn])
+        cooling = np.interp(grid, t[:turn:-1], d[:turn:-1])
+        return heating, cooling
+
+    (h0, c0), (h1, c1) = branches(base), branches(run)
+    open_ = np.abs(c0 - h0) > 0.2 * np.max(np.abs(c0 - h0))
+    assert np.median(((c1 - h1) / (c0 - h0))[open_]) == pytest.approx(0.8, abs=0.02)
+    np.testing.assert_allclose(h1 + c1, h0 + c0, atol=0.03 * np.ptp(h0))
 
 
 def test_driver_effects_show_in_the_logged_current():

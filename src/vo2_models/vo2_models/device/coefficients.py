@@ -69,6 +69,7 @@ class Coefficient(IntEnum):
     RELAXATION_TIME = auto()  # s
     REVERSIBLE = auto()  # 1/K
     REVERSIBLE_BAND = auto()  # K
+    REVERSIBLE_SHARE = auto()  # 1
     # resistance
     SERIES = auto()  # ohm
     LEAKAGE = auto()  # S
@@ -162,6 +163,7 @@ FEEDBACK = (
     Coefficient.KINETICS,
     Coefficient.RELAXATION,
     Coefficient.REVERSIBLE,
+    Coefficient.REVERSIBLE_SHARE,
     Coefficient.SLOW_SHARE,
 )
 """Coefficients that, when not zero, make the exact one-step solution of the linear thermal model insufficient."""

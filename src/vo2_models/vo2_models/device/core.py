@@ -17,8 +17,8 @@ import math
 from numba import njit
 
 from vo2_models.device.coefficients import Coefficient as C
-from vo2_models.device.ensemble import ensemble_peek, ensemble_step
-from vo2_models.device.plays import bank_output
+from vo2_models.device.ensemble import count_above, ensemble_peek, ensemble_step
+from vo2_models.device.plays import bank_middle, bank_output
 from vo2_models.device.state import Slot as S
 
 __all__ = ["ENSEMBLE", "PLAYS", "advance", "ambient", "fraction_of", "initial_transitions", "leading"]
@@ -26,10 +26,8 @@ __all__ = ["ENSEMBLE", "PLAYS", "advance", "ambient", "fraction_of", "initial_tr
 PLAYS, ENSEMBLE = 0, 1
 LATENT_TOLERANCE = 1e-4
 """Enthalpy error [K] of one step at which the search for its temperature ends; it is carried into the next step."""
-HOLD_BAND = 0.3
-"""A temperature within this distance [K] of where it came to rest counts as held."""
-ERASE = 2.0
-"""Travel [K] over which a relaxed fraction is forgotten to 1/e."""
+STILL = 0.3
+"""A film that moves by less than this [K] in the time after which relaxation begins is held."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -160,20 +158,22 @@ def _count_reversals(c, x, film):
 
 
 @njit(cache=True, error_model="numpy")
-def _relax(c, x, film, h):
-    """Logarithmic after-effect: the fraction drifts on while the temperature is held, and is erased by travel."""
-    s = min(max(x[S.FRACTION], 0.0), 1.0)
+def _hold(c, x, film, h):
+    """Follow whether the film is held; return what a hold adds to ln(1 + t / t0) in this step.
+
+    A film that moves forgets what a hold has added: what switches next is decided by the temperature again.
+    """
     travel = film - x[S.ANCHOR]
-    if abs(travel) > HOLD_BAND:
-        x[S.DRIFT] *= math.exp(-abs(travel) / ERASE)
+    x[S.ANCHOR] = film
+    if abs(travel) * c[C.RELAXATION_TIME] > STILL * h:
+        x[S.DRIFT_R] = 0.0
+        x[S.DRIFT_D] = 0.0
         x[S.HOLD_SIGN] = 1.0 if travel > 0.0 else -1.0
-        x[S.ANCHOR] = film
         x[S.HELD] = 0.0
-    else:
-        before = x[S.HELD]
-        x[S.HELD] = before + h
-        growth = math.log((c[C.RELAXATION_TIME] + before + h) / (c[C.RELAXATION_TIME] + before))
-        x[S.DRIFT] += x[S.HOLD_SIGN] * c[C.RELAXATION] * 4.0 * s * (1.0 - s) * growth
+        return 0.0
+    before = x[S.HELD]
+    x[S.HELD] = before + h
+    return math.log((c[C.RELAXATION_TIME] + before + h) / (c[C.RELAXATION_TIME] + before))
 
 
 @njit(cache=True, error_model="numpy")
@@ -323,8 +323,8 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
     x[S.RAW_D] = followed_d
     x[S.OUT_R] = followed_r
     x[S.OUT_D] = followed_d
-    if c[C.RELAXATION] != 0.0 or c[C.REVERSIBLE] != 0.0:
-        _add_reversible(kind, lead, c, x, film, h)
+    if c[C.RELAXATION] != 0.0 or c[C.REVERSIBLE] != 0.0 or c[C.REVERSIBLE_SHARE] != 0.0:
+        _add_reversible(kind, c, x, film, effective, h, packed_r, packed_d, levels)
     if c[C.FEEDBACK] != 0.0:
         x[S.FRACTION] = fraction_of(kind, lead, x[S.OUT_R + lead], c)
         x[S.LAST_CHANGE] = x[S.FRACTION] - s
@@ -335,20 +335,46 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
 
 
 @njit(cache=True, error_model="numpy")
-def _add_reversible(kind, lead, c, x, film, h):
-    """What both transitions do beside switching: drift at holds, and a reversible slope inside the dead band."""
-    inside = min(max(fraction_of(kind, lead, x[S.RAW_R + lead], c), 0.0), 1.0)
-    added = 0.0
-    if c[C.RELAXATION] != 0.0:
-        _relax(c, x, film, h)
-        added += x[S.DRIFT]
+def _span(kind, which, c):
+    """Lowest output of a transition, and how much it grows from there to the highest."""
+    if kind == ENSEMBLE:
+        return 0.0, 1.0
+    if which == 0:
+        return c[C.PLAY_LOW_R], c[C.PLAY_HIGH_R] - c[C.PLAY_LOW_R]
+    return c[C.PLAY_LOW_D], c[C.PLAY_HIGH_D] - c[C.PLAY_LOW_D]
+
+
+@njit(cache=True, error_model="numpy")
+def _anhysteretic(kind, which, v, packed, levels):
+    """Output half way between the two major branches at the temperature v."""
+    if kind == ENSEMBLE:
+        return 0.5 * (count_above(levels, which, 0, v) + count_above(levels, which, 1, v)) / levels.shape[2]
+    return bank_middle(v, packed)
+
+
+@njit(cache=True, error_model="numpy")
+def _add_reversible(kind, c, x, film, effective, h, packed_r, packed_d, levels):
+    """What each transition does beside switching: drift at holds, and reversible change inside the loop."""
+    growth = _hold(c, x, film, h) if c[C.RELAXATION] != 0.0 else 0.0
     if c[C.REVERSIBLE] != 0.0:
         width = c[C.REVERSIBLE_BAND]
         x[S.BAND] = min(max(x[S.BAND], film - width), film + width)
-        added += c[C.REVERSIBLE] * (film - x[S.BAND]) * 4.0 * inside * (1.0 - inside)
-    if kind == ENSEMBLE:
-        x[S.OUT_R] = min(max(x[S.OUT_R] + added, 0.0), 1.0)
-        x[S.OUT_D] = min(max(x[S.OUT_D] + added, 0.0), 1.0)
-    else:
-        x[S.OUT_R] += added * (c[C.PLAY_HIGH_R] - c[C.PLAY_LOW_R])
-        x[S.OUT_D] += added * (c[C.PLAY_HIGH_D] - c[C.PLAY_LOW_D])
+    for which in range(2):
+        packed = packed_r if which == 0 else packed_d
+        low, span = _span(kind, which, c)
+        if span == 0.0:
+            continue
+        raw = x[S.RAW_R + which]
+        inside = min(max((raw - low) / span, 0.0), 1.0)
+        half_way = 4.0 * inside * (1.0 - inside)
+        added = 0.0
+        if c[C.RELAXATION] != 0.0:
+            x[S.DRIFT_R + which] += x[S.HOLD_SIGN] * c[C.RELAXATION] * half_way * growth
+            added += x[S.DRIFT_R + which]
+        if c[C.REVERSIBLE] != 0.0:
+            added += c[C.REVERSIBLE] * (film - x[S.BAND]) * half_way
+        if c[C.REVERSIBLE_SHARE] != 0.0:
+            v = effective + which * c[C.TRANSITION_OFFSET]
+            added += c[C.REVERSIBLE_SHARE] * (_anhysteretic(kind, which, v, packed, levels) - raw) / span
+        out = x[S.OUT_R + which] + added * span
+        x[S.OUT_R + which] = min(max(out, 0.0), 1.0) if kind == ENSEMBLE else out

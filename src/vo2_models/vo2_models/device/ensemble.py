@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-__all__ = ["NARROWEST", "ensemble_peek", "ensemble_step", "population", "sort_population"]
+__all__ = ["NARROWEST", "count_above", "ensemble_peek", "ensemble_step", "population", "sort_population"]
 
 NARROWEST = 0.3
 """Smallest loop width of a domain [K]; the normal distribution's tail below it is folded onto it."""
@@ -65,7 +65,7 @@ def sort_population(
 
 
 @njit(cache=True, error_model="numpy")
-def _above(levels, which, side, value):
+def count_above(levels, which, side, value):
     """Number of levels not above `value` (a search without a slice, which would cost reference counts)."""
     low, high = 0, levels.shape[2]
     while low < high:
@@ -98,7 +98,7 @@ def ensemble_step(temperature, previous, which, levels, domains, metallic, count
     place; `which` : the member to move.
     """
     if temperature > previous:
-        k = _above(levels, which, 0, previous)
+        k = count_above(levels, which, 0, previous)
         while k < metallic.shape[1] and levels[which, 0, k] <= temperature:
             domain = domains[which, 0, k]
             count += 1 - metallic[which, domain]
@@ -118,7 +118,7 @@ def ensemble_step(temperature, previous, which, levels, domains, metallic, count
 def ensemble_peek(temperature, previous, which, levels, domains, metallic, count):
     """Number of metallic domains after a move to `temperature` that is not made."""
     if temperature > previous:
-        k = _above(levels, which, 0, previous)
+        k = count_above(levels, which, 0, previous)
         while k < metallic.shape[1] and levels[which, 0, k] <= temperature:
             count += 1 - metallic[which, domains[which, 0, k]]
             k += 1

@@ -14,7 +14,7 @@ from numba import njit
 
 from vo2_models.hysteresis.layout import HEADER
 
-__all__ = ["bank_output", "tanh"]
+__all__ = ["bank_middle", "bank_output", "tanh"]
 
 _FARTHEST = 40.0
 """Where tanh is 1 to the last bit: exp(-40) < 2^-54."""
@@ -70,4 +70,18 @@ def bank_output(v, packed, memory, make):
             total += packed[place] * level
     if make:
         memory[0] = v
+    return total
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+def bank_middle(v, packed):
+    """Weighted sum of the plays half way between the two major branches at the input v [degC]."""
+    n = int(packed[0])
+    total = 0.0
+    for j in range(n):
+        place = HEADER + j
+        radius = packed[place + n]
+        heating = max(tanh(packed[place + 2 * n] * v + packed[place + 3 * n]) - radius, radius - 1.0)
+        cooling = min(tanh(packed[place + 4 * n] * v + packed[place + 5 * n]) + radius, 1.0 - radius)
+        total += packed[place] * 0.5 * (heating + cooling)
     return total

@@ -54,7 +54,8 @@ class Slot(IntEnum):
     ANCHOR = auto()  # degC, temperature a hold is counted from
     HELD = auto()  # s
     HOLD_SIGN = auto()
-    DRIFT = auto()  # 1, relaxed fraction
+    DRIFT_R = auto()  # 1, relaxed fraction of the metallic transition
+    DRIFT_D = auto()  # 1, of the structural one
     BAND = auto()  # degC, centre of the reversible band
     CREPT = auto()  # m
     MODE = auto()  # m, displacement of the mode
