@@ -57,7 +57,7 @@ def _current(device: str) -> np.ndarray:
         up = np.linspace(3.68e-3, 8.49e-3, 40)
         return np.repeat(np.concatenate([up, up[::-1], rng.uniform(3.68e-3, 8.49e-3, 60)]), 12)
     ramp = [np.linspace(0.05, -1.15, 30), np.linspace(-1.15, 0.4, 30), rng.uniform(-1.15, 0.05, 20)]
-    ramp.append(np.full(16, -0.74))  # a hold inside the loop, long enough to come to rest
+    ramp.append(np.full(80, -0.74))  # a hold inside the loop, long enough to come to rest
     return np.repeat(np.concatenate(ramp), 40)
 
 
