@@ -122,6 +122,10 @@ def test_a_good_recording_passes_the_check() -> None:
     assert [f.kind for f in check_recording(recording(), model())] == []
 
 
+def test_a_rig_may_call_itself_what_it_likes() -> None:
+    assert check_recording(recording(device="bench_3"), model()) == []
+
+
 def test_what_is_unusable_is_refused_with_the_reason() -> None:
     time = np.arange(2000) * 1e-3
     rng = np.random.default_rng(0)
@@ -133,8 +137,11 @@ def test_what_is_unusable_is_refused_with_the_reason() -> None:
         "clock": recording(time_s=np.cumsum(rng.uniform(0.2e-3, 3e-3, 2000))),
         "sample period": recording(time_s=time * 1e4),
         "mostly noise": recording(
-            film_resistance=1e5 * np.exp(rng.standard_normal(2000)), tip_deflection=rng.standard_normal(2000)
+            film_resistance=6e4 * np.exp(0.3 * rng.standard_normal(2000)),
+            tip_deflection=2e-5 + 2e-6 * rng.standard_normal(2000),
         ),
+        "is it in kohm": recording(film_resistance=1e-3 * recording()["film_resistance"]),
+        "is it in um": recording(tip_deflection=1e6 * recording()["tip_deflection"]),
         "is constant": recording(film_resistance=np.full(2000, 1e5), tip_deflection=np.full(2000, 1e-5)),
         "missing from": recording(
             film_resistance=np.full(2000, np.nan), tip_deflection=np.full(2000, np.nan)

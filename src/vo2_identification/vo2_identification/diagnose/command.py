@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"diagnose: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("diagnose: interrupted", file=sys.stderr)
+        print(f"diagnose: interrupted; nothing more is written to {options.output}", file=sys.stderr)
         return 130
 
 
@@ -57,7 +57,15 @@ def _run(options: argparse.Namespace) -> int:
     # after the arguments: a wrong option must not wait for the compiler
     from vo2_models.model_file import load_model_parameters
 
+    if output.exists() and not output.is_dir():
+        raise ValueError(f"--output {output}: is a file, need a folder")
     parameters = load_model_parameters(options.model)
+    from vo2_identification.diagnose.nominal import Nominal
+
+    try:
+        Nominal.from_parameters(parameters)
+    except ValueError as error:
+        raise ValueError(f"{options.model}: {error}; fit again") from error
     diagnosis = diagnose_bags(options.bag, parameters, output, quiet=options.quiet)
     if not options.next:
         return 0
@@ -81,6 +89,7 @@ def diagnose_bags(
     ValueError, OSError : what cannot be used, in one line.
     """
     from vo2_identification.bags import read_recording
+    from vo2_identification.bags.problems import in_few_lines
     from vo2_identification.diagnose.files import write_results
     from vo2_identification.diagnose.pipeline import study
 
@@ -89,9 +98,9 @@ def diagnose_bags(
     for bag in bags:
         recording, found = read_recording(bag)
         recordings.append(recording)
-        problems += [f"{bag}: {problem}" for problem in found]
+        problems += [f"{bag}: {problem}" for problem in in_few_lines(found)]
     with _Progress(quiet=quiet) as progress:
-        result = study(recordings, parameters, progress=progress)
+        result = study(recordings, parameters, progress=progress, names=[str(bag) for bag in bags])
         diagnosis = write_results(result, output, problems=problems, seconds=time.perf_counter() - began)
     print(diagnosis.summary)
     print(f"report: {output / 'report.html'}", flush=True)

@@ -230,6 +230,13 @@ def basis_of(device: str) -> EnrichmentBasis:
     )
 
 
+def loop_ends(device: str) -> tuple[float, float]:
+    """Temperatures [degC] below and above which a device of this kind has next to no memory."""
+    nominal = preset(device)
+    spread = 2.5 * nominal.heating[1]
+    return nominal.heating[0] - nominal.width[0] - spread, nominal.heating[0] + spread
+
+
 def span_of(device: str) -> dict[str, float]:
     """Range of each channel of a device in judged units: what shares of range divide by."""
     nominal = preset(device)

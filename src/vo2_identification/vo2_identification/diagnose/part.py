@@ -15,6 +15,8 @@ from vo2_identification.diagnose.nominal import Nominal, drive_of, judged
 __all__ = ["Part", "prepare", "regular", "value_step"]
 
 Floats = NDArray[np.float64]
+BLIND = 3
+"""Missing samples in a row after which the memory of the loops may be another."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ class Part:
     valid : channel -> (n,) whether the sample counts
     settled : whether the device was at rest at the first current before
     comb : channel -> distance of neighbouring values, where its converter is coarser than its noise
+    blind : gaps so long that the film may have been anywhere meanwhile, each from its first to behind its last sample
     """
 
     name: str
@@ -43,6 +46,7 @@ class Part:
     valid: Mapping[str, NDArray[np.bool_]]
     settled: bool = False
     comb: Mapping[str, float] = field(default_factory=dict)
+    blind: tuple[tuple[int, int], ...] = ()
 
     def comb_level(self, channel: str) -> Floats | float:
         """Standard deviation that a coarse converter adds, in judged units: step / sqrt(12)."""
@@ -85,6 +89,7 @@ def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") 
         )
     recording = regular(recording)
     current, own = drive_of(recording)
+    blind = _longest_blind(recording[HEATER_CURRENT], nominal, recording.sample_period_s)
     laws = {RESISTANCE: nominal.model.resistance.present, TIP_DEFLECTION: nominal.model.deflection.present}
     wanted = [c for c in (RESISTANCE, TIP_DEFLECTION) if laws[c] and c in recording]
     if not wanted:
@@ -113,7 +118,18 @@ def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") 
         if channel in nominal.noise and size > 2.0 * nominal.noise[channel].level:
             comb[channel] = step
     dt = recording.sample_period_s
-    return Part(name, recording.time_s, dt, current, tuple(observed), observed, valid, comb=comb)
+    return Part(name, recording.time_s, dt, current, tuple(observed), observed, valid, comb=comb, blind=blind)
+
+
+def _longest_blind(logged: Floats, nominal: Nominal, dt: float) -> tuple[tuple[int, int], ...]:
+    """First and last sample, beyond which nothing is missing, of gaps in which the film could go anywhere and back."""
+    missing = np.concatenate([[False], ~np.isfinite(logged), [False]])
+    begin, end = (
+        np.flatnonzero(np.diff(missing.astype(int)) == 1),
+        np.flatnonzero(np.diff(missing.astype(int)) == -1),
+    )
+    long = max(BLIND, 0.5 * nominal.model.scalars["thermal.time_constant"] / dt)
+    return tuple((int(b), int(e)) for b, e in zip(begin, end, strict=True) if e - b > long)
 
 
 def value_step(values: Floats) -> float:

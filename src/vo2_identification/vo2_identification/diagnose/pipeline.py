@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from vo2_models.device.coefficients import HUGE
 from vo2_models.parameters import Value
 from vo2_models.recording import Recording
 
@@ -20,7 +21,7 @@ from vo2_identification.diagnose.hypotheses import Hypothesis, hypotheses
 from vo2_identification.diagnose.locate import Breakdown, breakdown
 from vo2_identification.diagnose.next_experiment import by_hand, propose
 from vo2_identification.diagnose.noise import fit_noise
-from vo2_identification.diagnose.nominal import MOVED, Nominal
+from vo2_identification.diagnose.nominal import MOVED, Nominal, loop_ends
 from vo2_identification.diagnose.part import prepare
 from vo2_identification.diagnose.result import Diagnosis, NextExperiment
 from vo2_identification.diagnose.statement import assemble
@@ -32,6 +33,8 @@ Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 SHORTLIST = 6
 """Hypotheses that are refitted in full."""
+LOOSE = 0.5
+"""Standard deviation of a switching time, as a share of how long it was on, from which the switching is made up."""
 FAINT = 25.0
 """Score of a hypothesis from which a refit could make it worth a name."""
 BRIEF = 4
@@ -135,6 +138,7 @@ def study(
     *,
     thresholds: Thresholds | None = None,
     progress: Progress = lambda share, text: None,
+    names: Sequence[str] = (),
 ) -> Study:
     """As `diagnose`, with the evidence kept."""
     began = time.perf_counter()
@@ -147,11 +151,12 @@ def study(
     findings: list[Finding] = []
     parts = []
     for number, recording in enumerate(recordings, 1):
-        name = f"recording {number}"
+        name = names[number - 1] if names else f"recording {number}"
         findings += check_recording(recording, nominal, name=name)
         parts.append(prepare(recording, nominal, name=name))
     evidence = gather(nominal, parts, say=clock.say)
     evidence = _started(evidence, nominal, clock)
+    evidence = _remembered(evidence, nominal, findings, clock)
     evidence = _covered(evidence, nominal, findings, clock)
     evidence = _settled_thermal(nominal, evidence, clock)
     nominal, evidence = _recoloured(nominal, evidence, clock)
@@ -190,6 +195,36 @@ def _started(evidence: Evidence, nominal: Nominal, clock: _Clock) -> Evidence:
             parts[index] = replace(part, settled=True)
     if all(new is old for new, old in zip(parts, evidence.parts, strict=True)):
         return evidence
+    return gather(nominal, parts, shapes=evidence.shapes, say=clock.say)
+
+
+def _remembered(evidence: Evidence, nominal: Nominal, findings: list[Finding], clock: _Clock) -> Evidence:
+    """Leave out what follows a long gap until the loops have forgotten it: until the film was outside of them."""
+    low, high = loop_ends(nominal.device)
+    parts, lost, count = [], 0, 0
+    for part, response in zip(evidence.parts, evidence.nominal_responses, strict=True):
+        known = np.ones(part.size, dtype=bool)
+        outside = np.flatnonzero((response.temperature < low) | (response.temperature > high))
+        settling = int(np.ceil(8 * nominal.model.scalars["thermal.time_constant"] / part.dt))
+        for begin, end in part.blind:
+            later = outside[outside >= end + settling]
+            known[begin : int(later[0]) if later.size else part.size] = False
+        parts.append(replace(part, valid={c: good & known for c, good in part.valid.items()}))
+        lost, count = lost + int(np.count_nonzero(~known)), count + part.size
+    if not lost:
+        return evidence
+    if lost > 0.7 * count:
+        raise Unusable(
+            f"recordings: after gaps the state of the loops is unknown for {lost} of {count} samples; record without "
+            "gaps, or give the pieces between them as recordings of their own"
+        )
+    findings.append(
+        Finding(
+            "forgotten",
+            f"{100 * lost / count:.1f} % of the samples lie in or after long gaps, before the film left the loops: "
+            "they are not judged",
+        )
+    )
     return gather(nominal, parts, shapes=evidence.shapes, say=clock.say)
 
 
@@ -347,6 +382,7 @@ def _explained(base: Study, clock: _Clock) -> Study:
         shows = judged.drop > limits.share * chosen.gain or judged.share > limits.share
         certain = _significant(chosen, limits)
         sound = certain and judged.stable and complete >= needed and not chosen.at_bound
+        sound = sound and not _worsens(judged)
         if sound and not shows and len(problems) > 1:
             absorbed = chosen
         if not sound or not shows:
@@ -409,6 +445,11 @@ def _best_inside(explanations: Sequence[Explanation]) -> Explanation | None:
     return explanations[0]
 
 
+def _worsens(judged: HeldOut) -> bool:
+    """Whether a channel is predicted worse with the explanation than without, by more than its noise."""
+    return any(judged.after[c] > judged.before[c] + judged.floor[c] for c in judged.after)
+
+
 def _complete(explanation: Explanation, remaining: float, evidence: Evidence, limits: Thresholds) -> float:
     """Share of the excess beyond what unchanged devices show that an explanation takes away."""
     rest = evidence.count * max(remaining - limits.slack, 0.0)
@@ -428,6 +469,14 @@ def _significant(explanation: Explanation, limits: Thresholds) -> bool:
         explanation.distance(index) >= limits.sigmas
         for index, hypothesis in enumerate(explanation.hypotheses)
         if hypothesis.magnitudes
+    ) and all(
+        explanation.std(index, name)
+        < LOOSE * abs(values[hypothesis.switches[-1]] - values[hypothesis.switches[0]])
+        for index, (hypothesis, values) in enumerate(
+            zip(explanation.hypotheses, explanation.values, strict=True)
+        )
+        for name in hypothesis.switches
+        if abs(values.get(name, np.inf)) < HUGE and len(hypothesis.switches) == 2
     )
 
 

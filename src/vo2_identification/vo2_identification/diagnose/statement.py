@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
 from vo2_identification.diagnose.check import limits_in_words
 from vo2_identification.diagnose.decide import probabilities
@@ -226,10 +227,19 @@ def _unknown(study: Study) -> NamedEffect:
     return NamedEffect("unknown", float(probability), statement, equation, {})
 
 
+def _of_what(study: Study) -> str:
+    """Which channels agree, where one of the two could not be judged."""
+    judged = {row.channel for row in study.evidence.rows}
+    absent = [c for c in (RESISTANCE, TIP_DEFLECTION) if c not in judged]
+    if not absent:
+        return ""
+    return f" in {' and '.join(sorted(judged))} ({' and '.join(absent)} could not be judged)"
+
+
 def _agrees_summary(study: Study) -> str:
     power = 100 * max(study.total_excess, 0.0)
     return (
-        f"Simulation and recording agree: the residual exceeds the noise by {power:.0f} % of its power, "
+        f"Simulation and recording agree{_of_what(study)}: the residual exceeds the noise by {power:.0f} % of its power, "
         "no more than an unchanged device shows."
     )
 
