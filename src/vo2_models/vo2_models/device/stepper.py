@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,7 +43,12 @@ class Stepper:
         self._at = _BLOCK
         self._command = np.empty(1)
         self._out = np.empty((1, chain.COLUMNS))
-        self._measured = np.array([CHANNELS.index(name) for name in self.channels])
+        self._row = self._out[0]
+        measured = [CHANNELS.index(name) for name in self.channels]
+        # a view where the channels stand in one piece: picking by an index array takes a microsecond of every sample
+        whole = measured == list(range(measured[0], measured[-1] + 1))
+        self._measured = self._row[measured[0] : measured[-1] + 1] if whole else None
+        self._places = np.array(measured)
 
     def step(self, current: float) -> NDArray[np.float64]:
         """Apply the current [A] for one period; return the sample's measured channels (as `channels` orders them).
@@ -50,7 +57,7 @@ class Stepper:
         ------
         ValueError : the current is not finite (the device stays as it is).
         """
-        if not np.isfinite(current):
+        if not math.isfinite(current):
             raise ValueError(f"current: found {current}, need a finite number of ampere")
         if self._at == _BLOCK:
             self._at = 0
@@ -61,7 +68,7 @@ class Stepper:
         self._simulation.call(self._c, self._mode, self._state, self._command, normals, self._out)
         self._at += 1
         self.sample += 1
-        return self._out[0, self._measured]
+        return self._row[self._places] if self._measured is None else self._measured.copy()
 
     @property
     def true_deflection(self) -> float:
