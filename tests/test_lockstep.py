@@ -81,10 +81,11 @@ def test_an_estimator_that_starts_late_changes_nothing(graph, conductor, model_f
 
 def test_a_bag_is_readable_after_sigterm_in_the_middle_of_a_run(graph, conductor, model_file, tmp_path):
     bag = tmp_path / "bag"
-    recorder = graph.start("record", arguments=["--output", str(bag)])
+    # diagnostics fill a bag too: of the samples alone the size tells their number
+    recorder = graph.start("record", arguments=["--output", str(bag), "--topics", *SAMPLES])
     for name in ("plant", "estimator", "controller", "reference"):
         graph.start(name, parameter_file=model_file)
-    conductor.wait_for("some samples in the bag", lambda: _size(bag) > 50_000, 60.0)
+    conductor.wait_for("some samples in the bag", lambda: _size(bag) > 200_000, 60.0)
     recorder.process.send_signal(signal.SIGTERM)
     assert recorder.process.wait(15.0) == 0, recorder.last_words()
     recordings, problems = read_bag(bag)

@@ -97,7 +97,7 @@ def test_an_interrupted_experiment_leaves_a_readable_bag_and_the_safe_current(gr
     try:
         deadline = time.monotonic() + 60
         while time.monotonic() < deadline and process.poll() is None:
-            if sum(path.stat().st_size for path in (tmp_path / "next").glob("*.mcap")) > 150_000:
+            if sum(path.stat().st_size for path in (tmp_path / "next").glob("*.mcap")) > 500_000:
                 break
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)
@@ -111,7 +111,7 @@ def test_an_interrupted_experiment_leaves_a_readable_bag_and_the_safe_current(gr
     command = recording[COMMANDED_CURRENT]
     assert command[-1] == 0.0
     assert np.all(command[1:-1][np.isfinite(command[1:-1])] >= COLD)
-    assert len(recording) > 200
+    assert len(recording) > 100
     assert not (tmp_path / "with_next").exists()
 
 
