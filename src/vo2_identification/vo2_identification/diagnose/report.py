@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
 from vo2_identification.diagnose.locate import Breakdown
+from vo2_identification.diagnose.nominal import JUDGED_UNIT
 from vo2_identification.diagnose.pipeline import Study
 from vo2_identification.diagnose.result import Diagnosis, NamedEffect
 from vo2_identification.report.figures import figure_html, new_figure
@@ -16,10 +17,10 @@ __all__ = ["report_page"]
 
 Floats = NDArray[np.float64]
 SHOWN = {
-    RESISTANCE: ("resistance", "log10 R residual / 0.001", 1e3),
-    TIP_DEFLECTION: ("deflection", "deflection residual / um", 1e6),
-    STAGE_TEMPERATURE: ("stage temperature", "temperature residual / K", 1.0),
-    HEATER_CURRENT: ("heater current", "current residual / mA", 1e3),
+    RESISTANCE: ("resistance", "residual of\nlog10(R/ohm) / 0.001", 1e3),
+    TIP_DEFLECTION: ("deflection", "residual of\ndeflection / um", 1e6),
+    STAGE_TEMPERATURE: ("stage temperature", "residual of\ntemperature / K", 1.0),
+    HEATER_CURRENT: ("heater current", "residual of\ncurrent / mA", 1e3),
 }
 BEFORE, AFTER, NOISE = "#D55E00", "#0072B2", "#999999"
 """From the palette of Okabe and Ito; line style and label carry the meaning too."""
@@ -27,11 +28,22 @@ BEFORE, AFTER, NOISE = "#D55E00", "#0072B2", "#999999"
 
 def report_page(study: Study, diagnosis: Diagnosis) -> str:
     """Return the self-contained HTML page."""
-    parts = [_where(study, diagnosis)] if diagnosis.verdict == "differs" else []
+    parts = [_where(study, diagnosis)] if diagnosis.verdict == "differs" else [_agreement(study)]
     if diagnosis.effects:
         parts.append(_what(study, diagnosis))
     parts += [_gain(study, diagnosis), _next(diagnosis), _data(study, diagnosis)]
     return page("Diagnosis: simulation against recording", diagnosis.summary, parts)
+
+
+def _agreement(study: Study) -> str:
+    return section(
+        "How they agree",
+        paragraph(
+            "Before: the fitted simulation as it is. After: with what a refit of loop shape and heat, within the "
+            "uncertainty of the calibration, makes of it."
+        ),
+        _residual_figure(study),
+    )
 
 
 def _where(study: Study, diagnosis: Diagnosis) -> str:
@@ -88,12 +100,13 @@ def _residual_figure(study: Study) -> str:
             for sign in (-2, 2):
                 axis.axhline(sign * noise.level * scale, color=NOISE, linestyle="--", linewidth=0.8)
             axis.set_ylabel(label)
-        axes[0].legend(loc="upper right", ncols=2)
+        axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
         axes[-1].set_xlabel("time / s")
         return figure_html(
             figure,
-            "Residual (measured minus simulated) over time, before and after the correction; each band spans the "
-            "smallest and largest value of an interval, dashed lines are two standard deviations of the noise.",
+            "Residual (measured minus simulated) over time, before and after; each band spans the "
+            "smallest and largest value of an interval, dashed lines are two standard deviations of the noise. After: with the "
+            "correction, and the loop shape refitted within the uncertainty of the calibration.",
         )
 
 
@@ -214,7 +227,9 @@ def _gain(study: Study, diagnosis: Diagnosis) -> str:
         "What it gains",
         paragraph(
             "Root mean square error over the channel's range, on long blocks that were left out of the fit "
-            "(two folds of alternating blocks)."
+            "(two folds of alternating blocks). What the calibration leaves open in the shape of the loops is refitted "
+            "on the other blocks, which helps only where they went through the same loops: an unchanged device too may lie well "
+            "above its noise here. The verdict counts that as uncertainty of the calibration, the table as an error."
         ),
         table("Held-out error", ("channel", "before", "after", "noise floor"), rows),
     )
@@ -223,10 +238,17 @@ def _gain(study: Study, diagnosis: Diagnosis) -> str:
 def _next(diagnosis: Diagnosis) -> str:
     proposal = diagnosis.next_experiment
     if proposal is None:
-        return section(
-            "What to record next", paragraph("Nothing: no two explanations are left to tell apart.")
-        )
+        return section("What to record next", paragraph(_nothing_next(diagnosis)))
     return section("What to record next", paragraph(proposal.why), paragraph(proposal.instruction))
+
+
+def _nothing_next(diagnosis: Diagnosis) -> str:
+    if any(e.id == "unknown" for e in diagnosis.effects):
+        return (
+            "No known explanation is near enough to design an experiment for. Repeat the recording to see whether the "
+            "difference comes back, then slower or faster, and with smaller steps: what it follows tells what it is."
+        )
+    return "Nothing: no two explanations are left to tell apart."
 
 
 def _data(study: Study, diagnosis: Diagnosis) -> str:
@@ -245,13 +267,14 @@ def _data(study: Study, diagnosis: Diagnosis) -> str:
         (
             SHOWN[c][0],
             f"{n.level:.3g}",
-            ", ".join(f"{a:.2f}" for a in n.ar) or "white",
+            JUDGED_UNIT[c],
+            ", ".join(f"{a:.2f}" for a in n.ar) or "none: white",
         )
         for c, n in study.evidence.nominal.noise.items()
     ]
     return section(
         "The data",
         table("Recordings", ("recording", "samples", "period / s", "channels", "began"), rows),
-        table("Noise taken from the calibration", ("channel", "level", "colour (AR)"), noise),
+        table("Noise", ("channel", "level", "unit", "correlation with the samples before (AR)"), noise),
         *limits,
     )

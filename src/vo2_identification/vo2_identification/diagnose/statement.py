@@ -39,14 +39,14 @@ def assemble(study: Study) -> Diagnosis:
             indistinguishable=[],
             next_experiment=None,
             summary=_agrees_summary(study),
-            limits=limits_in_words(study.findings),
+            limits=[*limits_in_words(study.findings), *_by_recording(study)],
             excess=_excess(study),
             seconds=study.seconds,
         )
     candidates, probability = _candidates(study)
     effects = _named(study, probability)
     pairs = [list(pair) for pair in study.rival_pairs]
-    limits = limits_in_words(study.findings)
+    limits = [*limits_in_words(study.findings), *_by_recording(study)]
     if study.absorbed is not None:
         limits = [*limits, _constant(study)]
     return Diagnosis(
@@ -114,7 +114,7 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
             by_key[key] = by_key.get(key, 0.0) + float(weight) * certain
             best.setdefault(key, explanation)
     size = {c: study.nominal.span[c] for c in study.excess}
-    floor = study.judged.floor if study.judged else {}
+    told = 0.0 if study.chosen is None else _share(study.chosen.gain / max(count * study.total_excess, 1e-9))
     found = []
     for key, probability in sorted(by_key.items(), key=lambda item: -item[1]):
         explanation = best[key]
@@ -123,11 +123,11 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
         own = key in study.chosen.keys if study.chosen else False
         nrmse = {}
         for c in study.excess:
-            if own and study.judged is not None:
-                nrmse[c] = study.judged.after[c] / size[c]
-            else:
-                rest = max(1.0 + study.excess[c] * (1.0 - min(max(gained, 0.0), 1.0)), 1.0)
-                nrmse[c] = floor.get(c, 0.0) * float(np.sqrt(rest)) / size[c]
+            reached = study.judged.after.get(c, 0.0) if study.judged else 0.0
+            if not own:  # from the answer's own error, by how much more of the excess would be left
+                left, answer = (max(1.0 + study.excess[c] * (1.0 - g), 1.0) for g in (_share(gained), told))
+                reached *= float(np.sqrt(left / answer))
+            nrmse[c] = reached / size[c]
         found.append(
             Candidate(
                 name,
@@ -161,6 +161,10 @@ def _explained_share(study: Study) -> float:
     return float(np.clip(best / max(study.evidence.count * study.total_excess, 1e-9), 0.0, 1.0))
 
 
+def _share(value: float) -> float:
+    return min(max(value, 0.0), 1.0)
+
+
 def _why_not(study: Study, explanation: Explanation) -> str:
     gained = explanation.gain / max(study.evidence.count * study.total_excess, 1e-9)
     if study.chosen is None:
@@ -168,7 +172,8 @@ def _why_not(study: Study, explanation: Explanation) -> str:
     gap = explanation.chi_square - study.chosen.chi_square
     if explanation.at_bound:
         return f"its fit ends at a physical bound ({', '.join(explanation.at_bound)})"
-    return f"explains {100 * gained:.0f} % of the excess; worse than the answer by {np.sqrt(max(gap, 0.0)):.0f} sigma"
+    worse = np.sqrt(max(gap, 0.0))
+    return f"explains {100 * gained:.0f} % of the excess; worse than the answer by {worse:.0f} standard deviations"
 
 
 def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
@@ -225,6 +230,24 @@ def _unknown(study: Study) -> NamedEffect:
     if study.chosen is None:
         probability = 1.0 - 0.5 * _explained_share(study)
     return NamedEffect("unknown", float(probability), statement, equation, {})
+
+
+def _by_recording(study: Study) -> list[str]:
+    """The excess of each recording where there are several, and whether they contradict each other."""
+    evidence = study.evidence
+    if len(evidence.parts) < 2:
+        return []
+    left = evidence.left(evidence.residual)
+    energy, count = np.zeros(len(evidence.parts)), np.zeros(len(evidence.parts))
+    for row in evidence.rows:
+        energy[row.part] += float(evidence.residual[row.where] @ left[row.where])
+        count[row.part] += float(np.count_nonzero(evidence.weight[row.where]))
+    excess = energy / np.maximum(count, 1.0) - 1.0
+    told = ", ".join(f"{part.name} {value:.3g}" for part, value in zip(evidence.parts, excess, strict=True))
+    text = f"excess in noise powers by recording: {told}"
+    if excess.max() > 10.0 * max(excess.min(), study.thresholds.excess):
+        text += "; they differ unlike each other: diagnose them one by one"
+    return [text]
 
 
 def _of_what(study: Study) -> str:
