@@ -7,6 +7,7 @@ so that a diagnosis cannot succeed by inverting its own simulator.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 
 __all__ = ["main"]
@@ -14,6 +15,10 @@ __all__ = ["main"]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command `challenge`; see `vo2_identification.challenge.command`."""
-    from vo2_identification.challenge.command import main as command
+    try:  # the libraries take seconds to load, in which Ctrl-C works as later
+        from vo2_identification.challenge.command import main as command
 
-    return command(argv)
+        return command(argv)
+    except KeyboardInterrupt:
+        print("challenge: interrupted", file=sys.stderr)
+        return 130

@@ -122,6 +122,8 @@ def score_lines(scores: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
             verdict = f"at {side} {_number(goal, key)}"
             if value is not None:
                 verdict += ": met" if (value <= goal if side == "most" else value >= goal) else ": missed"
+                if interval and interval[0] < goal < interval[1]:
+                    verdict += ", but the interval holds both"
         lines.append((words, _number(value, key), spread, verdict))
     return lines
 
