@@ -26,8 +26,8 @@ class Thresholds:
 
     Attributes
     ----------
-    gain : least drop of q of a named effect; on two dozen recordings without effect, of seeds used for nothing else,
-        the largest drop was 166
+    gain : least drop of q of a named effect; on some fifty recordings without effect whose drop was looked at,
+        the largest drop was 329
     sigmas : least distance of a magnitude from neutral, in its standard deviations
     slack : residual power beyond the noise, in noise powers, that unchanged devices show too
     complete : share of the excess beyond that which names must explain together, else "unknown" is the answer
@@ -48,7 +48,7 @@ class Thresholds:
     temper : how many times more the likelihood ratio must be than white noise would need
     """
 
-    gain: float = 250.0
+    gain: float = 400.0
     sigmas: float = 4.0
     slack: float = 0.12
     complete: float = 0.75
