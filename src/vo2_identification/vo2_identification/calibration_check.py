@@ -18,6 +18,7 @@ from vo2_models.recording import (
     Recording,
 )
 
+from vo2_identification.diagnose.nominal import judged
 from vo2_identification.plausibility import impossible, unusual
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["check_calibration", "judge_fit", "noise_level"]
 
-Floats = NDArray[np.float64]
 _MEASURED = (RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
 _SHORTEST = 500
 _MOST_MISSING = 0.5
@@ -85,7 +85,7 @@ def judge_fit(result: FitResult, recordings: Sequence[Recording]) -> list[str]:
     """
     notes = []
     for channel, sensor in result.model.sensors.items():
-        values = np.concatenate([judged(r, channel) for r in recordings if channel in r])
+        values = np.concatenate([judged(channel, r[channel]) for r in recordings if channel in r])
         values = values[np.isfinite(values)]
         unit, factor = {RESISTANCE: ("log10 ohm", 1.0), TIP_DEFLECTION: ("um", 1e6)}.get(channel, ("K", 1.0))
         explained = 1.0 - sensor.residual**2 / max(float(np.var(values)), 1e-300)
@@ -111,18 +111,8 @@ def noise_level(channel: str, noise: float) -> float:
     return noise / float(np.log(10.0)) if channel == RESISTANCE else noise
 
 
-def judged(recording: Recording, channel: str) -> Floats:
-    """Return a channel (n,) as it is fitted: the resistance as log10 ohm; NaN where there is no value."""
-    values = recording[channel]
-    usable = _usable(recording, channel)
-    if channel == RESISTANCE:
-        return np.where(usable, np.log10(np.where(usable, values, 1.0)), np.nan)
-    return np.where(usable, values, np.nan)
-
-
 def _usable(recording: Recording, channel: str) -> NDArray[np.bool_]:
-    values = recording[channel]
-    return np.isfinite(values) & (values > 0.0) if channel == RESISTANCE else np.isfinite(values)
+    return np.isfinite(judged(channel, recording[channel]))
 
 
 def _missing(recording: Recording, empty: Sequence[str]) -> list[str]:

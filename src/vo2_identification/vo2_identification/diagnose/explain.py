@@ -7,17 +7,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from vo2_models.device.coefficients import HUGE
 
 from vo2_identification.diagnose.evidence import Evidence
-from vo2_identification.diagnose.hypotheses import Hypothesis
+from vo2_identification.diagnose.hypotheses import MAGNITUDE_STEP, Hypothesis
 
 __all__ = ["Explanation", "Score", "fit_jointly", "score", "switched"]
 
 Floats = NDArray[np.float64]
 SHORTEST = 0.05
 """Shortest time between switching on and off, as a share of the recording."""
-MAGNITUDE_STEP = 0.05
-"""A step that matters of a magnitude, as a share of its typical size."""
 ROUNDS = 3
 """So often a magnitude is set anew while hypotheses are scored."""
 PRUNED = 0.02
@@ -264,7 +263,7 @@ def switched(
     magnitude grows.
     """
     values = dict(start)
-    names = [n for n in hypothesis.switches if abs(values.get(n, np.inf)) < 1e9]
+    names = [n for n in hypothesis.switches if abs(values.get(n, np.inf)) < HUGE]
     if not names:
         return values
     left = evidence.left(residual)

@@ -22,12 +22,14 @@ from vo2_models.recording import HEATER_CURRENT, RESISTANCE
 from vo2_identification.diagnose.evidence import Evidence
 from vo2_identification.diagnose.part import value_step
 
-__all__ = ["Hypothesis", "hypotheses"]
+__all__ = ["MAGNITUDE_STEP", "Hypothesis", "hypotheses"]
 
 Floats = NDArray[np.float64]
 Values = Mapping[str, float]
 INSIDE = (1.0, 0.995, 0.98, 0.95, 0.9, 0.8, 0.6)
 """Shares of the values that a limit may leave as they are."""
+MAGNITUDE_STEP = 0.05
+"""A step that matters of a magnitude, as a share of its typical size."""
 REPEATED = 8
 """So often a converter at its limit gives the same value; noise does not."""
 
@@ -146,7 +148,7 @@ def _starts(
         elif _neutral(p) == 0.0:
             # one sign is enough: the score tells the other
             grids[p.name] = [middle] if len(free) > 1 else [0.4 * middle, 2.0 * middle]
-            scales[p.name] = 0.05 * middle
+            scales[p.name] = MAGNITUDE_STEP * middle
         elif middle:
             # beside a frequency that the residual tells, the rest matters less
             count = 2 if any(q.unit == "Hz" for q in free) else 5 if len(free) > 1 else 4

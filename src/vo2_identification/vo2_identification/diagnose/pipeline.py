@@ -376,7 +376,7 @@ def _explained(base: Study, clock: _Clock) -> Study:
         complete = _complete(chosen, remaining, evidence, limits)
         needed = (
             limits.complete
-            if len(chosen.keys) > 1 or _dominates(singles, limits)
+            if len(chosen.keys) > 1 or _dominates(chosen, singles, limits)
             else limits.complete_rivalled
         )
         shows = judged.drop > limits.share * chosen.gain or judged.share > limits.share
@@ -456,11 +456,12 @@ def _complete(explanation: Explanation, remaining: float, evidence: Evidence, li
     return explanation.gain / (explanation.gain + rest)
 
 
-def _dominates(singles: Sequence[Explanation], limits: Thresholds) -> bool:
-    """Whether no other effect alone comes near the best."""
-    own = singles[0].hypotheses[0].record.id
-    others = [e.gain for e in singles[1:] if e.hypotheses[0].record.id != own]
-    return max(others, default=0.0) < limits.dominated * singles[0].gain
+def _dominates(chosen: Explanation, singles: Sequence[Explanation], limits: Thresholds) -> bool:
+    """Whether no other effect alone comes near the one that is chosen."""
+    own = chosen.hypotheses[0].record.id
+    alone = max((e.gain for e in singles if e.hypotheses[0].record.id == own), default=chosen.gain)
+    others = [e.gain for e in singles if e.hypotheses[0].record.id != own]
+    return max(others, default=0.0) < limits.dominated * alone
 
 
 def _significant(explanation: Explanation, limits: Thresholds) -> bool:

@@ -46,7 +46,15 @@ from vo2_identification.reproduce.peltier import (
 )
 from vo2_identification.reproduce.pool import run_many
 
-__all__ = ["DESIGN_SEED", "MAX_SENSITIVITY", "Ahead", "Designs", "feedforward", "own_designs"]
+__all__ = [
+    "DESIGN_SEED",
+    "MAX_SENSITIVITY",
+    "TIME_CONSTANT_SPREAD",
+    "Ahead",
+    "Designs",
+    "feedforward",
+    "own_designs",
+]
 
 Floats = NDArray[np.float64]
 

@@ -14,7 +14,12 @@ from vo2_models.self_sensing import self_sensing
 from vo2_identification.reproduce.claims import Claim, Context, Section, at_most
 from vo2_identification.reproduce.figures import draw
 from vo2_identification.reproduce.identified import identify
-from vo2_identification.reproduce.own_designs import Designs, feedforward, own_designs
+from vo2_identification.reproduce.own_designs import (
+    TIME_CONSTANT_SPREAD,
+    Designs,
+    feedforward,
+    own_designs,
+)
 from vo2_identification.reproduce.peltier import LIMITS, experiment, merit
 from vo2_identification.reproduce.pool import run_many
 
@@ -22,7 +27,6 @@ NUMBER, TITLE = "8.6", "Robustness of the own design over device draws"
 
 FIRST_SEED = 10_000
 """Added to the context's seed: devices that neither the designs nor section 8.5 have."""
-TIME_CONSTANT_SPREAD = 0.2
 NOISE_FACTORS = (0.5, 2.0)
 LOST_M = 25e-6
 """An error of the last quarter above this counts as instability: a third of the range, far above any cycle."""
