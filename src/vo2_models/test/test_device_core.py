@@ -35,7 +35,11 @@ def _currents(device: str) -> np.ndarray:
 CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "latent_heat": ("integrated", {"latent": 15.0}, {"latent": 15.0}),
     "cooling_asymmetry": ("integrated", {"ratio": 0.4}, {"cooling": 0.4}),
-    "nonlinear_heat_loss": ("integrated", {"beta": 4e-4, "exponent": 2.5}, {"beta": 4e-4, "exponent": 2.5}),
+    "nonlinear_heat_loss": (
+        "integrated",
+        {"share": 4e-4 * 60**1.5, "exponent": 2.5},
+        {"beta": 4e-4, "exponent": 2.5},
+    ),
     "phase_dependent_heat_loss": ("integrated", {"gamma": 0.2}, {"phase_loss": 0.2}),
     "heater_tcr": ("integrated", {"alpha": 2e-3}, {"tcr": 2e-3}),
     "second_thermal_mode": ("integrated", {"share": 0.1, "time_constant": 0.02}, {"slow": (0.1, 0.02)}),

@@ -152,7 +152,7 @@ def test_latent_heat_delays_the_crossing_and_changes_no_steady_state():
 def test_directions():
     """The sign of each effect's first consequence, from its equation."""
     hot = np.full(60, 8.2e-3)
-    base, run = _pair("nonlinear_heat_loss", "integrated", hot, beta=1e-3)
+    base, run = _pair("nonlinear_heat_loss", "integrated", hot, share=0.06)
     theta = run["true_temperature"][-1] - 22.0
     assert theta + 1e-3 * theta**2 == pytest.approx(base["true_temperature"][-1] - 22.0, rel=1e-6)
     base, run = _pair("heater_tcr", "integrated", hot, alpha=1e-3)

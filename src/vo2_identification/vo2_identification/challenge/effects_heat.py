@@ -58,11 +58,18 @@ def _apply_ambient(plan: Plan, v: Values, c: Context) -> None:
 
 def _draw_ambient(c: Context) -> Draw:
     total = signed(c.rng, log_uniform(c.rng, 0.08, 2.5))
+    curvature = float(c.rng.choice([0.0, c.rng.uniform(-0.8, 0.8)]))
     return {
         "rate": (total / c.duration, "K/s"),
-        "curvature": (float(c.rng.choice([0.0, c.rng.uniform(-0.8, 0.8)])), "1"),
+        "curvature": (curvature, "1"),
+        "initial_rate": (total / c.duration * (1 - curvature), "K/s"),
         "total_change": (total, "K"),
     }
+
+
+def _draw_cooling(c: Context) -> Draw:
+    change = log_uniform(c.rng, 0.05, 0.6) if c.quick else log_uniform(c.rng, 0.008, 0.35)
+    return {"ratio": (1 + change, "1"), "change": (change, "1")}
 
 
 def _draw_loss(c: Context) -> Draw:
@@ -149,12 +156,7 @@ EFFECTS = (
     ConcealedEffect(
         "cooling_asymmetry",
         ANY,
-        lambda c: {
-            "ratio": (
-                1 + (log_uniform(c.rng, 0.05, 0.6) if c.quick else log_uniform(c.rng, 0.008, 0.35)),
-                "1",
-            )
-        },
+        _draw_cooling,
         _terms(cooling_ratio="ratio"),
         {"ratio": 1.0},
     ),

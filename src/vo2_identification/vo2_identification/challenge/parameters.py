@@ -42,15 +42,16 @@ QUANTITIES: dict[str, tuple[Quantity, ...]] = {
     ),
     "dead_time": (Quantity("delay", ("theta", "theta_s", "delay", "dead_time", "dead_time_s"), "s"),),
     "cooling_asymmetry": (
-        Quantity("ratio", ("ratio", "cooling_ratio", "tau_ratio", "tau_cooling_over_heating"), "1"),
+        Quantity("ratio", ("tau_ratio", "tau_cooling_over_heating"), "1", group="cooling"),
+        Quantity("change", ("ratio", "change", "cooling_ratio"), "1", group="cooling"),
     ),
     "ambient_drift": (
-        Quantity("rate", ("rate", "drift", "drift_rate", "slope"), "K/s", group="drift"),
+        Quantity("initial_rate", ("rate", "drift_rate", "initial_rate"), "K/s", group="drift"),
         Quantity("total_change", ("total", "total_change", "change"), "K", group="drift"),
     ),
     "nonlinear_heat_loss": (
-        Quantity("beta", ("beta",), "K^(1-n)", group="loss"),
-        Quantity("share_at_60K", ("share_at_60k", "loss_share"), "1", group="loss"),
+        Quantity("share_at_60K", ("share_at_60k", "loss_share", "share"), "1"),
+        Quantity("power", ("power", "exponent", "n"), "1"),
     ),
     "latent_heat": (Quantity("heat", ("l", "latent", "latent_heat", "heat"), "K"),),
     "heater_tcr": (Quantity("temperature_coefficient", ("alpha", "tcr", "temperature_coefficient"), "1/K"),),

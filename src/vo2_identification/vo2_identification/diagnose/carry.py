@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 from vo2_models.device.chain import _film_deflection, _sense, _structure, _terminal_resistance
 from vo2_models.device.coefficients import CHANNELS
 from vo2_models.device.coefficients import Coefficient as C
-from vo2_models.device.core import _count_reversals, fraction_of, leading
+from vo2_models.device.core import ENSEMBLE, _count_reversals, output_share
 from vo2_models.device.simulation import Simulation
 from vo2_models.device.state import Slot as S
 from vo2_models.fitting.enrichment import Correction
@@ -44,7 +44,9 @@ def carried(
     c, mode = simulation.prepared(dt)
     rest = simulation.run(np.zeros(1), dt=dt)[0]
     seen = np.empty((out.shape[0], 2))
-    _seen_temperature(simulation.kind, c, simulation.packed_d, np.ascontiguousarray(out), seen)
+    _seen_temperature(
+        simulation.kind, c, simulation.packed_r, simulation.packed_d, np.ascontiguousarray(out), seen
+    )
     film = np.zeros((out.shape[0], 2))
     at_rest = np.zeros(2)
     for place, channel in enumerate((RESISTANCE, TIP_DEFLECTION)):
@@ -71,20 +73,23 @@ def _late(values: Floats, constant: float, dt: float) -> Floats:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _seen_temperature(kind, c, packed_d, out, seen):
+def _seen_temperature(kind, c, packed_r, packed_d, out, seen):
     """What each transition sees: film temperature plus training, incongruency and structural offset."""
     x = np.zeros(_SLOTS)
-    lead = leading(kind, packed_d)
     x[S.TURN] = out[0, 5]
     for k in range(out.shape[0]):
         value = out[k, 5]
         if c[C.TRAINING] != 0.0:
             _count_reversals(c, x, value)
             value += c[C.TRAINING] * x[S.REVERSALS]
-        if c[C.INCONGRUENCY] != 0.0:
-            value += c[C.INCONGRUENCY] * (fraction_of(kind, lead, out[k, 7 + lead], c) - 0.5)
         seen[k, 0] = value
         seen[k, 1] = value + c[C.TRANSITION_OFFSET]
+        if c[C.INCONGRUENCY] != 0.0:
+            for which in range(2):
+                if kind == ENSEMBLE or (packed_d[0] if which == 1 else packed_r[0]) > 0.0:
+                    seen[k, which] += c[C.INCONGRUENCY] * (
+                        output_share(kind, which, out[k, 7 + which], c) - 0.5
+                    )
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -23,6 +23,8 @@ PRUNED = 0.02
 """Share of the largest gain seen below which a start is not followed."""
 SMALLEST = 1e-3
 """Smallest effect that is looked for, as a share of a start."""
+BRIEF = 4
+"""Iterations after which a refit shows whether it is worth going on."""
 BATCH = 32
 """Simulations judged together; one matrix product serves them all."""
 

@@ -16,7 +16,7 @@ from vo2_identification.diagnose.base import covered_range, loop_shapes
 from vo2_identification.diagnose.check import Finding, Unusable, check_recording
 from vo2_identification.diagnose.decide import HeldOut, Thresholds, block_folds, held_out
 from vo2_identification.diagnose.evidence import Evidence, gather
-from vo2_identification.diagnose.explain import Explanation, Score, fit_jointly, score, switched
+from vo2_identification.diagnose.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
 from vo2_identification.diagnose.hypotheses import Hypothesis, hypotheses
 from vo2_identification.diagnose.locate import Breakdown, breakdown
 from vo2_identification.diagnose.next_experiment import by_hand, propose
@@ -24,6 +24,7 @@ from vo2_identification.diagnose.noise import fit_noise
 from vo2_identification.diagnose.nominal import MOVED, Nominal, loop_ends
 from vo2_identification.diagnose.part import prepare
 from vo2_identification.diagnose.result import Diagnosis, NextExperiment
+from vo2_identification.diagnose.several import Option, option_of, pair_of, trace
 from vo2_identification.diagnose.statement import assemble
 from vo2_identification.diagnose.unknown import Unnamed, describe_unknown
 
@@ -37,8 +38,6 @@ LOOSE = 0.5
 """Standard deviation of a switching time, as a share of how long it was on, from which the switching is made up."""
 FAINT = 25.0
 """Score of a hypothesis from which a refit could make it worth a name."""
-BRIEF = 4
-"""Iterations after which a refit shows whether it is worth going on."""
 QUIET = 1.4
 """Residual power over noise power up to which a channel's residual is taken for its noise."""
 UNSEEN = 50.0
@@ -359,34 +358,20 @@ def _explained(base: Study, clock: _Clock) -> Study:
     singles = [fit for _, fit in fits.values()]
     singles.sort(key=lambda e: e.chi_square + len(e.coordinates) * np.log(evidence.count))
     not_excited = tuple(_not_excited(scores))
-    final, chosen, rivals = evidence, None, list(singles)
-    remaining = base.total_excess
-    first = _best_inside(singles)
-    if first is not None and first.gain > limits.gain:
-        final, chosen = _relinearised(base, first, clock)
-        remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0
-        if final.count * remaining > limits.gain:
-            pair = _second(base, final, chosen, candidates, clock)
-            if pair is not None and _complete(pair[1], pair[3], evidence, limits) >= limits.complete_pair:
-                final, chosen, rivals, remaining = pair
+    options = _options(base, singles, candidates, clock)
     clock.say("judging on held-out blocks")
-    judged = held_out(final, chosen, reference=evidence, tick=clock.tick)
+    final, chosen, rivals, remaining = evidence, None, tuple(singles), base.total_excess
     outside = absorbed = None
-    if chosen is not None:
-        complete = _complete(chosen, remaining, evidence, limits)
-        needed = (
-            limits.complete
-            if len(chosen.keys) > 1 or _dominates(chosen, singles, limits)
-            else limits.complete_rivalled
-        )
-        shows = judged.drop > limits.share * chosen.gain or judged.share > limits.share
-        certain = _significant(chosen, limits)
-        sound = certain and judged.stable and complete >= needed and not chosen.at_bound
-        sound = sound and not _worsens(judged)
-        if sound and not shows and len(problems) > 1:
-            absorbed = chosen
-        if not sound or not shows:
-            chosen, final = None, evidence
+    for option in options:
+        judged = held_out(option.final, option.chosen, reference=evidence, tick=clock.tick)
+        shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
+        sound = _sound(option, judged, singles, evidence, limits)
+        rivals, remaining = option.rivals, option.remaining
+        if sound and shows:
+            final, chosen = option.final, option.chosen
+            break
+        if sound and len(problems) > 1:
+            absorbed = option.chosen
     if chosen is None:
         judged = held_out(evidence, None)
         loud = base.total_excess > limits.excess or max(base.excess.values()) > limits.channel_excess
@@ -397,7 +382,7 @@ def _explained(base: Study, clock: _Clock) -> Study:
         if silent and absorbed is not None:
             return replace(
                 base, differs=True, absorbed=absorbed, scores=tuple(scores), singles=tuple(singles), judged=judged,
-                rivals=tuple(rivals), remaining_excess=remaining, not_excited=not_excited,
+                rivals=rivals, remaining_excess=remaining, not_excited=not_excited,
                 proposal=by_hand(absorbed),
             )  # fmt: skip
         if silent:
@@ -407,10 +392,8 @@ def _explained(base: Study, clock: _Clock) -> Study:
                 not_excited=not_excited,
             )  # fmt: skip
     # where it is: where a named effect acts, else where more than noise is left
-    if chosen is None:
-        where = breakdown(evidence, evidence.left(evidence.residual))
-    else:
-        where = breakdown(final, _trace(final), floor=0.0)
+    acting = evidence.left(evidence.residual) if chosen is None else trace(final)
+    where = breakdown(final, acting, floor=0.0 if chosen else 1.0)
     pairs = _rival_pairs(base, chosen, rivals, remaining)
     proposal = None
     if pairs and chosen is not None:
@@ -426,12 +409,45 @@ def _explained(base: Study, clock: _Clock) -> Study:
         scores=tuple(scores),
         singles=tuple(singles),
         chosen=chosen,
-        rivals=tuple(rivals),
+        rivals=rivals,
         outside=outside,
         judged=judged,
         remaining_excess=remaining,
         breakdown=tuple(where),
         not_excited=not_excited,
+    )
+
+
+def _options(
+    base: Study, singles: Sequence[Explanation], candidates: Sequence[Hypothesis], clock: _Clock
+) -> list[Option]:
+    """What could be the answer, best first: two effects, one effect."""
+    evidence, limits = base.evidence, base.thresholds
+    first = _best_inside(singles)
+    if first is None or first.gain <= limits.gain:
+        return []
+    clock.say("linearising about the explanation")
+    alone = option_of(base.nominal, evidence, first, singles, tick=clock.tick)
+    clock.say("looking for a second effect")
+    pair = pair_of(base.nominal, evidence, alone, candidates, limits, tick=clock.tick)
+    if pair and _complete(pair.chosen, pair.remaining, evidence, limits) >= limits.complete_pair:
+        return [pair, alone]
+    return [alone]
+
+
+def _sound(
+    option: Option, judged: HeldOut, singles: Sequence[Explanation], evidence: Evidence, limits: Thresholds
+) -> bool:
+    """Whether an explanation is significant, stable, complete, inside its physical bounds, and harms no channel."""
+    chosen = option.chosen
+    alone = len(chosen.keys) == 1 and not _dominates(chosen, singles, limits)
+    needed = limits.complete_rivalled if alone else limits.complete
+    return (
+        _significant(chosen, limits)
+        and judged.stable
+        and _complete(chosen, option.remaining, evidence, limits) >= needed
+        and not chosen.at_bound
+        and not _worsens(judged)
     )
 
 
@@ -481,12 +497,6 @@ def _significant(explanation: Explanation, limits: Thresholds) -> bool:
     )
 
 
-def _trace(final: Evidence) -> Floats:
-    """What the named effects change in the recording, without noise."""
-    plain = replace(final, included={})
-    return -plain.stack(plain.responses({}), final.nominal_responses)
-
-
 def _rival_pairs(
     base: Study, chosen: Explanation | None, rivals: Sequence[Explanation], remaining: float
 ) -> list[tuple[str, str]]:
@@ -505,70 +515,6 @@ def _rival_pairs(
             if pair not in pairs:
                 pairs.append(pair)
     return pairs
-
-
-def _relinearised(base: Study, best: Explanation, clock: _Clock) -> tuple[Evidence, Explanation]:
-    """Build the problem about an explanation and fit it once more there."""
-    clock.say("linearising about the explanation")
-    final = gather(
-        base.nominal,
-        base.evidence.parts,
-        shift=best.shift,
-        effects=best.effects,
-        shapes=base.evidence.shapes,
-        loops=base.evidence.loops,
-    )
-    again = fit_jointly(final, best.hypotheses, best.values, iterations=6, tick=clock.tick)
-    # gains are told against the base alone, about the nominal simulation
-    q_base = base.evidence.count * (1.0 + base.total_excess)
-    return final, replace(again, gain=q_base - again.chi_square)
-
-
-def _second(
-    base: Study, about: Evidence, first: Explanation, candidates: Sequence[Hypothesis], clock: _Clock
-) -> tuple[Evidence, Explanation, list[Explanation], float] | None:
-    """Look for one more effect beside those found; None if no other is worth it.
-
-    What an equation of the first that is not quite right leaves over resembles the first: a second effect must
-    explain most of what is left, and must not act like the first, unless it leaves next to nothing.
-    """
-    limits = base.thresholds
-    clock.say("looking for a second effect")
-    taken = set(first.keys)
-    others = [h for h in candidates if h.key not in taken]
-    residual = about.residual - first.deviation
-    scores = score(about, others, residual, tick=clock.tick)
-    before = about.chi_square(residual)
-    pairs = []
-    for s in [s for s in scores if s.gain > max(limits.gain, 0.1 * scores[0].gain)][:5]:
-        start = switched(about, s.hypothesis, s.start, residual, tick=clock.tick)
-        joint = fit_jointly(
-            about, [*first.hypotheses, s.hypothesis], [*first.values, start], iterations=8, tick=clock.tick
-        )
-        if not joint.at_bound:
-            pairs.append(joint)
-    pairs.sort(key=lambda e: e.chi_square)
-    if not pairs:
-        return None
-    drop, leftover = before - pairs[0].chi_square, before - about.count
-    if drop < max(limits.gain, limits.second * leftover):
-        return None
-    if drop < limits.thorough * leftover and (
-        drop < limits.second_of_all * base.total_excess * about.count
-        or _alike(about, pairs[0]) > limits.alike
-    ):
-        return None
-    final, chosen = _relinearised(base, pairs[0], clock)
-    remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0
-    return final, chosen, pairs, remaining
-
-
-def _alike(about: Evidence, joint: Explanation) -> float:
-    """Absolute cosine between what the last effect does and what those before it do, the base taken out."""
-    old = _trace(about)
-    new = about.deviation(joint.hypotheses[-1].effects(joint.values[-1]))
-    size = about.chi_square(old) * about.chi_square(new)
-    return float(abs(old @ about.left(new)) / np.sqrt(size)) if size > 0 else 1.0
 
 
 def _not_excited(scores: Sequence[Score]) -> list[str]:

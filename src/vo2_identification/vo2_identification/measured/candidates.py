@@ -141,7 +141,7 @@ VO2 = (
     _of_record("slow_relaxation", {"amplitude": 0.02, "onset": 1.0}, ("onset",)),
     _of_record("transition_kinetics", {"time_constant": 0.5}, ("time_constant",)),
     _of_record("cooling_asymmetry", {"ratio": 0.1}),
-    _of_record("nonlinear_heat_loss", {"beta": 1e-3}),
+    _of_record("nonlinear_heat_loss", {"share": 0.06}),
     _of_record("phase_dependent_heat_loss", {"gamma": 0.1}),
     _of_record("latent_heat", {"latent": 5.0}),
     Candidate(

@@ -21,7 +21,16 @@ from vo2_models.device.ensemble import count_above, ensemble_peek, ensemble_step
 from vo2_models.device.plays import bank_middle, bank_output
 from vo2_models.device.state import Slot as S
 
-__all__ = ["ENSEMBLE", "PLAYS", "advance", "ambient", "fraction_of", "initial_transitions", "leading"]
+__all__ = [
+    "ENSEMBLE",
+    "PLAYS",
+    "advance",
+    "ambient",
+    "fraction_of",
+    "initial_transitions",
+    "leading",
+    "output_share",
+]
 
 PLAYS, ENSEMBLE = 0, 1
 LATENT_TOLERANCE = 1e-4
@@ -42,6 +51,15 @@ def _laser_on(c, time):
 
 
 @njit(cache=True, error_model="numpy")
+def output_share(kind, which, raw, c):
+    """Share 0..1 of a transition's own output that has switched, whatever law makes it of the phase."""
+    if kind == ENSEMBLE:
+        return raw
+    low, high = (C.PLAY_LOW_D, C.PLAY_HIGH_D) if which == 1 else (C.PLAY_LOW_R, C.PLAY_HIGH_R)
+    return (raw - c[low]) / (c[high] - c[low])
+
+
+@njit(cache=True, error_model="numpy")
 def fraction_of(kind, which, raw, c):
     """Phase fraction 0..1 that a transition output stands for.
 
@@ -51,7 +69,7 @@ def fraction_of(kind, which, raw, c):
     if kind == ENSEMBLE:
         return raw
     if which == 1:
-        return (raw - c[C.PLAY_LOW_D]) / (c[C.PLAY_HIGH_D] - c[C.PLAY_LOW_D])
+        return output_share(kind, which, raw, c)
     conductivity = 10.0 ** (raw - c[C.PLAY_LOW_R])
     contrast = 10.0 ** (c[C.PLAY_HIGH_R] - c[C.PLAY_LOW_R])
     above = (conductivity - 1.0) / (conductivity + 1.0)
@@ -112,6 +130,26 @@ def _fraction_at(
     else:
         raw = _peek(kind, lead, v, packed_r, play_r, levels, domains, metallic, x)
     return fraction_of(kind, lead, _followed(lead, raw, ramp, c, x), c)
+
+
+@njit(cache=True, error_model="numpy")
+def _among_neighbours(
+    kind, which, film, ramp, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic
+):  # fmt: skip
+    """Temperature that a transition feels with its own output fed back: T + kappa (s - 1/2).
+
+    A moving Preisach model feeds back the output of the same operator.
+    """
+    if kind == PLAYS and (packed_d[0] if which == 1 else packed_r[0]) == 0.0:
+        return film
+    felt = film + c[C.INCONGRUENCY] * (output_share(kind, which, x[S.OUT_R + which], c) - 0.5)
+    for _ in range(4):
+        v = felt + which * c[C.TRANSITION_OFFSET]
+        packed, play = (packed_d, play_d) if which == 1 else (packed_r, play_r)
+        raw = _peek(kind, which, v, packed, play, levels, domains, metallic, x)
+        there = output_share(kind, which, _followed(which, raw, ramp, c, x), c)
+        felt = film + c[C.INCONGRUENCY] * (there - 0.5)
+    return felt
 
 
 @njit(cache=True, error_model="numpy")
@@ -293,28 +331,19 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
         shift = c[C.TRAINING] * x[S.REVERSALS]
     # --- transitions
     effective = film + shift
+    effective_d = effective
     if c[C.INCONGRUENCY] != 0.0:
         seen = effective
-        effective += c[C.INCONGRUENCY] * (s - 0.5)
-        for _ in range(4):
-            there = _fraction_at(
-                kind,
-                lead,
-                effective,
-                ramp,
-                c,
-                x,
-                packed_r,
-                packed_d,
-                play_r,
-                play_d,
-                levels,
-                domains,
-                metallic,
-            )
-            effective = seen + c[C.INCONGRUENCY] * (there - 0.5)
+        effective = _among_neighbours(
+            kind, 0, seen, ramp, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic
+        )
+        effective_d = _among_neighbours(
+            kind, 1, seen, ramp, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic
+        )
     raw_r = _move(kind, 0, effective, packed_r, play_r, levels, domains, metallic, x)
-    raw_d = _move(kind, 1, effective + c[C.TRANSITION_OFFSET], packed_d, play_d, levels, domains, metallic, x)
+    raw_d = _move(
+        kind, 1, effective_d + c[C.TRANSITION_OFFSET], packed_d, play_d, levels, domains, metallic, x
+    )
     followed_r = _followed(0, raw_r, ramp, c, x)
     followed_d = _followed(1, raw_d, ramp, c, x)
     x[S.EQUILIBRIUM_R] = raw_r

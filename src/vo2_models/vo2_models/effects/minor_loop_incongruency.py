@@ -14,7 +14,7 @@ EFFECT = Effect(
     apply=setting(kappa=Coefficient.INCONGRUENCY),
     channels=FILM,
     typical={"integrated": {"kappa": (1.0, 3.0)}, "peltier": {"kappa": (1.0, 3.0)}},
-    equation="T_eff = T + kappa (s - 1/2)",
+    equation="T_eff = T + kappa (s - 1/2), s the switched share of the same transition's output",
     excitation="first-order reversal curves or minor loops at several fractions",
     source=(
         "moving Preisach model: Della Torre, IEEE Trans. Audio Electroacoust. 14, 1966; mismatch table of the "

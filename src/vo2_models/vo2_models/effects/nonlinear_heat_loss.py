@@ -1,19 +1,36 @@
 """Heat loss that grows faster than the temperature difference."""
 
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
 from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import HEAT, Effect, constant_of, setting
+from vo2_models.effects.record import HEAT, Effect, constant_of
+
+RISE = 60.0
+"""Temperature rise [K] at which the additional loss is told: about the end of the transition."""
+
+
+def _apply(c: NDArray[np.float64], values: Mapping[str, float], device: str, signal: str) -> None:
+    """Write beta = share / 60^(n-1): told by its share, the loss hardly changes with the exponent."""
+    c[Coefficient.LOSS] = values["share"] / RISE ** (values["exponent"] - 1.0)
+    c[Coefficient.LOSS_EXPONENT] = values["exponent"]
+
 
 EFFECT = Effect(
     id="nonlinear_heat_loss",
     stage="thermal",
     parameters=(
-        constant_of("beta", 0, "K^(1-n)", "coefficient of the additional loss", -0.05, 0.05),
+        constant_of(
+            "share", 0, "1", "additional loss at a rise of 60 K, as a share of the linear one", -0.6, 3
+        ),
         constant_of("exponent", 2, "1", "exponent n of the additional loss", 1.05, 5),
     ),
-    apply=setting(beta=Coefficient.LOSS, exponent=Coefficient.LOSS_EXPONENT),
+    apply=_apply,
     channels=HEAT,
-    typical={"integrated": {"beta": (0.5e-3, 3e-3)}, "peltier": {"beta": (0.5e-3, 3e-3)}},
-    equation="tau dtheta/dt = k u - theta - beta theta |theta|^(n-1)",
+    typical={"integrated": {"share": (0.03, 0.18)}, "peltier": {"share": (0.03, 0.18)}},
+    equation="tau dtheta/dt = k u - theta - share theta |theta / 60 K|^(n-1)",
     excitation="steady levels over the whole temperature range, on both plateaus",
     source="free convection (n about 1.25) and radiation (n up to 4): any text on heat transfer",
     statement=(

@@ -1,0 +1,181 @@
+"""More than one effect: a second beside the first, and each of the two tried anew beside the other.
+
+The first name was chosen as if it were alone, so it may stand for something that resembles both truths. Once a
+second is found, every effect is tried in the place of the first, then again in that of the second, until the pair
+stays: what is named is the pair that explains most, not the first and what suits it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_identification.diagnose.decide import Thresholds
+from vo2_identification.diagnose.evidence import Evidence, gather
+from vo2_identification.diagnose.explain import BRIEF, Explanation, fit_jointly, score, switched
+from vo2_identification.diagnose.hypotheses import Hypothesis
+from vo2_identification.diagnose.nominal import Nominal
+
+__all__ = ["Option", "option_of", "pair_of", "trace"]
+
+Floats = NDArray[np.float64]
+Tick = Callable[[], None]
+PARTNERS = 5
+"""Effects that are refitted beside another, the most promising ones."""
+EXCHANGES = 3
+"""So often one of the two is tried anew beside the other."""
+FREE = 20.0
+"""Standard deviation with which the parameters of the other may move while partners are scored, in their steps."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """One or two effects that may be the answer.
+
+    Attributes
+    ----------
+    final : the problem about them
+    chosen : the explanation
+    rivals : the same number of effects with one replaced, best first
+    remaining : excess power over noise power that they leave
+    """
+
+    final: Evidence
+    chosen: Explanation
+    rivals: tuple[Explanation, ...]
+    remaining: float
+
+
+def trace(final: Evidence) -> Floats:
+    """What the effects that the problem is about change in the recording, (N,) whitened, without noise."""
+    plain = replace(final, included={})
+    return -plain.stack(plain.responses({}), final.nominal_responses)
+
+
+def option_of(
+    nominal: Nominal,
+    evidence: Evidence,
+    best: Explanation,
+    rivals: Sequence[Explanation],
+    *,
+    tick: Tick = lambda: None,
+) -> Option:
+    """Return an explanation, fitted once more, with the problem about it.
+
+    Parameters
+    ----------
+    nominal : without corrections
+    evidence : the problem about the simulation without effects, which gains are told against
+    best : the explanation
+    rivals : what else was tried
+    tick : called once per simulation
+    """
+    final, chosen = _about(nominal, evidence, best, tick)
+    remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0
+    return Option(final, chosen, tuple(rivals), remaining)
+
+
+def _about(
+    nominal: Nominal, evidence: Evidence, best: Explanation, tick: Tick
+) -> tuple[Evidence, Explanation]:
+    """Build the problem about an explanation and fit it once more there."""
+    final = gather(
+        nominal,
+        evidence.parts,
+        shift=best.shift,
+        effects=best.effects,
+        shapes=evidence.shapes,
+        loops=evidence.loops,
+    )
+    again = fit_jointly(final, best.hypotheses, best.values, iterations=6, tick=tick)
+    return final, replace(again, gain=evidence.chi_square(evidence.residual) - again.chi_square)
+
+
+def pair_of(
+    nominal: Nominal,
+    evidence: Evidence,
+    alone: Option,
+    candidates: Sequence[Hypothesis],
+    limits: Thresholds,
+    *,
+    tick: Tick = lambda: None,
+) -> Option | None:
+    """Look for two effects that explain more than the first alone; None if no other is worth it.
+
+    What an equation that is not quite right leaves over resembles what it explains: a second effect must
+    explain most of what is left, and must not act like the first, unless it leaves next to nothing.
+
+    Parameters
+    ----------
+    nominal : without corrections
+    evidence : the problem about the simulation without effects
+    alone : the best single effect
+    candidates : all hypotheses
+    limits : when a second effect counts
+    tick : called once per simulation
+    """
+    about, first = alone.final, alone.chosen
+    before = about.chi_square(about.residual - first.deviation)
+    found = [(about, joint) for joint in _joined(about, first, candidates, limits, tick)]
+    if not found:
+        return None
+    tried = {first.keys}
+    for _ in range(EXCHANGES):
+        best = min(found, key=lambda item: item[1].chi_square)[1]
+        fresh = [k for k in range(2) if (best.keys[k],) not in tried]
+        if not fresh:
+            break
+        k = fresh[0]
+        tried.add((best.keys[k],))
+        one = fit_jointly(evidence, [best.hypotheses[k]], [best.values[k]], iterations=BRIEF, tick=tick)
+        there, kept = _about(nominal, evidence, one, tick)
+        found += [(there, joint) for joint in _joined(there, kept, candidates, limits, tick)]
+    found.sort(key=lambda item: item[1].chi_square)
+    where, best = found[0]
+    drop, leftover = before - best.chi_square, before - about.count
+    if drop < max(limits.gain, limits.second * leftover):
+        return None
+    excess = evidence.chi_square(evidence.residual) - evidence.count
+    thorough = leftover > limits.gain and drop > limits.thorough * leftover
+    if not thorough and (drop < limits.second_of_all * excess or _alike(where, best) > limits.alike):
+        return None
+    rivals = {frozenset(joint.keys): joint for _, joint in reversed(found)}
+    ranked = sorted(rivals.values(), key=lambda e: e.chi_square)
+    return option_of(nominal, evidence, best, ranked, tick=tick)
+
+
+def _joined(
+    about: Evidence,
+    first: Explanation,
+    candidates: Sequence[Hypothesis],
+    limits: Thresholds,
+    tick: Tick,
+) -> list[Explanation]:
+    """Refit the most promising partners of an effect together with it, best first.
+
+    Partners are scored by what neither the base nor other values of the first effect could explain.
+    """
+    others = [h for h in candidates if h.key not in first.keys]
+    residual = about.residual - first.deviation
+    base = replace(about.base, thermal=np.hstack([FREE * first.tangent, about.base.thermal]))
+    scores = score(replace(about, base=base), others, residual, tick=tick)
+    joints = []
+    for s in [s for s in scores if s.gain > max(limits.gain, 0.1 * scores[0].gain)][:PARTNERS]:
+        start = switched(about, s.hypothesis, s.start, residual, tick=tick)
+        joint = fit_jointly(
+            about, [*first.hypotheses, s.hypothesis], [*first.values, start], iterations=8, tick=tick
+        )
+        if not joint.at_bound:
+            joints.append(joint)
+    return sorted(joints, key=lambda e: e.chi_square)
+
+
+def _alike(about: Evidence, joint: Explanation) -> float:
+    """Absolute cosine between what the last effect does and what those before it do, the base taken out."""
+    old = trace(about)
+    new = about.deviation(joint.hypotheses[-1].effects(joint.values[-1]))
+    size = about.chi_square(old) * about.chi_square(new)
+    return float(abs(old @ about.left(new)) / np.sqrt(size)) if size > 0 else 1.0
