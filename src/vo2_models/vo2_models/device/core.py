@@ -37,6 +37,8 @@ LATENT_TOLERANCE = 1e-4
 """Enthalpy error [K] of one step at which the search for its temperature ends; it is carried into the next step."""
 STILL = 0.3
 """A film that moves by less than this [K] in the time after which relaxation begins is held."""
+FORGET = 0.5
+"""Travel [K] over which a moving film forgets what a hold has added."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -199,14 +201,17 @@ def _count_reversals(c, x, film):
 def _hold(c, x, film, h):
     """Follow whether the film is held; return what a hold adds to ln(1 + t / t0) in this step.
 
-    A film that moves forgets what a hold has added: what switches next is decided by the temperature again.
+    A film that moves forgets what a hold has added: what switches next is decided by the temperature again. The
+    drift goes the way the film last moved, however little.
     """
     travel = film - x[S.ANCHOR]
     x[S.ANCHOR] = film
-    if abs(travel) * c[C.RELAXATION_TIME] > STILL * h:
-        x[S.DRIFT_R] = 0.0
-        x[S.DRIFT_D] = 0.0
+    if travel != 0.0:
         x[S.HOLD_SIGN] = 1.0 if travel > 0.0 else -1.0
+    if abs(travel) * c[C.RELAXATION_TIME] > STILL * h:
+        left = math.exp(-abs(travel) / FORGET)
+        x[S.DRIFT_R] *= left
+        x[S.DRIFT_D] *= left
         x[S.HELD] = 0.0
         return 0.0
     before = x[S.HELD]
@@ -353,7 +358,7 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
     x[S.OUT_R] = followed_r
     x[S.OUT_D] = followed_d
     if c[C.RELAXATION] != 0.0 or c[C.REVERSIBLE] != 0.0 or c[C.REVERSIBLE_SHARE] != 0.0:
-        _add_reversible(kind, c, x, film, effective, h, packed_r, packed_d, levels)
+        _add_reversible(kind, c, x, film, effective, effective_d, h, packed_r, packed_d, levels)
     if c[C.FEEDBACK] != 0.0:
         x[S.FRACTION] = fraction_of(kind, lead, x[S.OUT_R + lead], c)
         x[S.LAST_CHANGE] = x[S.FRACTION] - s
@@ -382,7 +387,7 @@ def _anhysteretic(kind, which, v, packed, levels):
 
 
 @njit(cache=True, error_model="numpy")
-def _add_reversible(kind, c, x, film, effective, h, packed_r, packed_d, levels):
+def _add_reversible(kind, c, x, film, effective, effective_d, h, packed_r, packed_d, levels):
     """What each transition does beside switching: drift at holds, and reversible change inside the loop."""
     growth = _hold(c, x, film, h) if c[C.RELAXATION] != 0.0 else 0.0
     if c[C.REVERSIBLE] != 0.0:
@@ -403,7 +408,7 @@ def _add_reversible(kind, c, x, film, effective, h, packed_r, packed_d, levels):
         if c[C.REVERSIBLE] != 0.0:
             added += c[C.REVERSIBLE] * (film - x[S.BAND]) * half_way
         if c[C.REVERSIBLE_SHARE] != 0.0:
-            v = effective + which * c[C.TRANSITION_OFFSET]
+            v = effective if which == 0 else effective_d + c[C.TRANSITION_OFFSET]
             added += c[C.REVERSIBLE_SHARE] * (_anhysteretic(kind, which, v, packed, levels) - raw) / span
         out = x[S.OUT_R + which] + added * span
         x[S.OUT_R + which] = min(max(out, 0.0), 1.0) if kind == ENSEMBLE else out

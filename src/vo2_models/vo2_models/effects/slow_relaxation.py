@@ -18,7 +18,7 @@ EFFECT = Effect(
         "integrated": {"amplitude": (5e-3, 0.02), "onset": (2e-3, 0.01)},
         "peltier": {"amplitude": (5e-3, 0.02), "onset": (1.0, 5.0)},
     },
-    equation="s drifts by 4 A s (1 - s) ln(1 + t / t0) while T is held, onwards in its last direction",
+    equation="s drifts by 4 A s (1 - s) ln(1 + t / t0) while T is held, on in its last direction; moving forgets it in 0.5 K",
     excitation="holds inside and outside the loop",
     source=(
         "logarithmic after-effect of a distribution of barriers (Neel; Street and Woolley); resistance "
