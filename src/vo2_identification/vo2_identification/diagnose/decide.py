@@ -56,7 +56,7 @@ class Thresholds:
     dominated: float = 0.5
     complete_pair: float = 0.95
     share: float = 0.25
-    second: float = 0.45
+    second: float = 0.55
     second_of_all: float = 0.005
     thorough: float = 0.85
     alike: float = 0.25

@@ -90,7 +90,9 @@ class Evidence:
         """Number of samples that count."""
         return int(np.count_nonzero(self.weight))
 
-    def responses(self, effects: Effects, shift: Floats | None = None) -> list[Response]:
+    def responses(
+        self, effects: Effects, shift: Floats | None = None, *, fine: bool = True
+    ) -> list[Response]:
         """Simulate every part with effects beside the included ones, thermal parameters moved by `shift` columns."""
         thermal = self.moved(self.origin if shift is None else shift)
         return [
@@ -100,6 +102,7 @@ class Evidence:
                 effects={**self.included, **effects},
                 thermal=thermal,
                 settled=part.settled,
+                fine=fine,
             )
             for part in self.parts
         ]
@@ -118,23 +121,25 @@ class Evidence:
             out[row.where] = self.nominal.noise[row.channel].whiten(new - old)
         return out * self.weight
 
-    def deviation(self, effects: Effects, shift: Floats | None = None) -> Floats:
+    def deviation(self, effects: Effects, shift: Floats | None = None, *, fine: bool = True) -> Floats:
         """Whitened (N,) change of the simulation that effects make.
 
         With `shift`, thermal parameters are moved that far from the model's, and what the linear base says of that
         move is taken off again: the base still pays for the move, but its curvature is in the deviation.
         """
-        change = self.stack(self.responses(effects, shift))
+        change = self.stack(self.responses(effects, shift, fine=fine))
         if shift is not None and shift.size:
             change = change - self.base.thermal @ (shift - self.origin)
         return change
 
-    def deviations(self, several: Sequence[Effects], shift: Floats | None = None) -> list[Floats]:
+    def deviations(
+        self, several: Sequence[Effects], shift: Floats | None = None, *, fine: bool = True
+    ) -> list[Floats]:
         """`deviation` of several sets of effects, simulated side by side on the cores."""
         if len(several) < 2:
-            return [self.deviation(effects, shift) for effects in several]
+            return [self.deviation(effects, shift, fine=fine) for effects in several]
         with ThreadPoolExecutor(max_workers=min(len(several), CORES)) as pool:
-            return list(pool.map(lambda effects: self.deviation(effects, shift), several))
+            return list(pool.map(lambda effects: self.deviation(effects, shift, fine=fine), several))
 
     def absorb(self, vector: Floats) -> Floats:
         """Weights (k,) with which the base absorbs a whitened vector."""

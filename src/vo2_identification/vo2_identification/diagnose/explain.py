@@ -162,7 +162,10 @@ def score(
         again: list[tuple[float, Hypothesis, dict[str, float]]] = []
         for first in range(0, len(trials), BATCH):
             some = trials[first : first + BATCH]
-            columns = np.column_stack(evidence.deviations([h.effects(values) for h, values in some]))
+            # what happens between samples changes a size, not whether a refit is worth it
+            columns = np.column_stack(
+                evidence.deviations([h.effects(values) for h, values in some], fine=False)
+            )
             for _ in some:
                 tick()
             own = evidence.chi_squares(columns)

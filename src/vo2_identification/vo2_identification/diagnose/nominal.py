@@ -172,6 +172,7 @@ class Nominal:
         effects: Mapping[str, Mapping[str, float | str]] | None = None,
         thermal: Mapping[str, float] | None = None,
         settled: bool = False,
+        fine: bool = True,
     ) -> Response:
         """Simulate without noise.
 
@@ -182,6 +183,7 @@ class Nominal:
         effects : what is added
         thermal : values that replace those of the model, by name as in `THERMAL`
         settled : whether the device had come to rest at the first current before, instead of at no current
+        fine : take several steps a sample where it counts what happens in between
         """
         chain = _noiseless(self.model.simulation)
         c = chain.coefficients.copy()
@@ -194,14 +196,14 @@ class Nominal:
         if settled:
             lead = int(np.ceil(10 * (c[Coefficient.TIME_CONSTANT] + c[Coefficient.DEAD_TIME]) / dt))
             current = np.concatenate([np.full(lead, current[0]), current])
-        fine = FINE if _between_samples(chain.coefficients, dt) else 1
-        if fine > 1:
-            current, dt = np.repeat(current, fine), dt / fine
+        steps = FINE if fine and _between_samples(chain.coefficients, dt) else 1
+        if steps > 1:
+            current, dt = np.repeat(current, steps), dt / steps
         # a candidate may drive the simulation out of anything physical: it must only look very wrong
         out = _bounded(chain.run(current, dt=dt))
         if self.corrections:
             out = _bounded(carried(chain, current, out, dt, self.corrections))
-        out = out[fine - 1 :: fine]
+        out = out[steps - 1 :: steps]
         film = out[:, 5].clip(-1e4, 1e4)
         found = {}
         for k, channel in enumerate(CHANNELS):

@@ -25,6 +25,8 @@ Floats = NDArray[np.float64]
 Tick = Callable[[], None]
 PARTNERS = 5
 """Effects that are refitted beside another, the most promising ones."""
+HOPELESS = 0.5
+"""Share of what makes a second effect count below which no exchange is tried."""
 EXCHANGES = 3
 """So often one of the two is tried anew beside the other."""
 FREE = 20.0
@@ -121,6 +123,8 @@ def pair_of(
     before = about.chi_square(about.residual - first.deviation)
     found = [(about, joint) for joint in _joined(about, first, candidates, limits, tick)]
     if not found:
+        return None
+    if before - found[0][1].chi_square < HOPELESS * limits.second * (before - about.count):
         return None
     tried = {first.keys}
     for _ in range(EXCHANGES):
