@@ -186,8 +186,9 @@ def _stable(
         return True
     plain = replace(evidence, included={})
     for index, hypothesis in enumerate(explanation.hypotheses):
-        free = [n for n in explanation.values[index] if not hypothesis.logarithmic(n)]
-        shaped = len(explanation.values[index]) - len(free)
+        fitted = [n for n in explanation.values[index] if n not in hypothesis.choices]
+        free = [n for n in fitted if not hypothesis.logarithmic(n)]
+        shaped = len(fitted) - len(free)
         if free and not shaped:
             name = max(free, key=lambda n: abs(explanation.values[index][n]) / hypothesis.scales[n])
             first, second = (fold[index][name] for fold in estimates)

@@ -295,7 +295,7 @@ def switched(
             step *= 0.5
     return {
         n: float(np.clip(v * factor, *hypothesis.bounds(n)))
-        if n not in names and not hypothesis.logarithmic(n)
+        if n not in (*names, *hypothesis.choices) and not hypothesis.logarithmic(n)
         else v
         for n, v in values.items()
     }
@@ -319,7 +319,9 @@ def fit_jointly(
     tick : called once per simulation
     """
     values = [dict(start) for start in starts]
-    coordinates = tuple((k, name) for k, start in enumerate(values) for name in start)
+    coordinates = tuple(
+        (k, name) for k, start in enumerate(values) for name in start if name not in hypotheses[k].choices
+    )
     problem = _Joint(evidence, tuple(hypotheses), coordinates, tick)
     shift = evidence.origin.copy()
     q_start = evidence.chi_square(evidence.residual)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 from vo2_models.device.coefficients import HUGE
 from vo2_models.effects import Effect, effects
+from vo2_models.effects.record import CHOICE
 from vo2_models.parameters import Parameter
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE
 
@@ -71,10 +72,19 @@ class Hypothesis:
         return tuple(p.name for p in self.record.parameters if p.unit == "s" and abs(_neutral(p)) >= HUGE)
 
     @property
+    def choices(self) -> tuple[str, ...]:
+        """Parameters that are tried both ways and not fitted."""
+        return tuple(p.name for p in self.record.parameters if p.unit == CHOICE)
+
+    @property
     def magnitudes(self) -> tuple[str, ...]:
         """Fitted parameters in which the effect is linear as long as it is small, and which are neutral at zero."""
         fitted = self.starts[0]
-        return tuple(n for n in fitted if _neutral(self.parameter(n)) == 0.0 and not self.logarithmic(n))
+        return tuple(
+            n
+            for n in fitted
+            if _neutral(self.parameter(n)) == 0.0 and not self.logarithmic(n) and n not in self.choices
+        )
 
     def bounds(self, name: str) -> tuple[float, float]:
         """Physical range."""
@@ -139,7 +149,10 @@ def _starts(
     for p in free:
         low, high = typical.get(p.name, (0.0, 0.0))
         middle = float(np.sqrt(low * high)) if low > 0 else 0.0
-        if p.unit == "Hz":
+        if p.unit == CHOICE:
+            grids[p.name] = [0.0, 1.0]
+            scales[p.name] = 1.0
+        elif p.unit == "Hz":
             grids[p.name] = _frequencies(evidence, record, signal, device, residual)
             scales[p.name] = 0.02
         elif _neutral(p) == 0.0 and not middle:
@@ -147,7 +160,9 @@ def _starts(
             scales[p.name] = 0.0  # set below, from the other magnitudes
         elif _neutral(p) == 0.0:
             # one sign is enough: the score tells the other
-            grids[p.name] = [middle] if len(free) > 1 else [0.4 * middle, 2.0 * middle]
+            grids[p.name] = (
+                [middle] if sum(q.unit != CHOICE for q in free) > 1 else [0.4 * middle, 2.0 * middle]
+            )
             scales[p.name] = MAGNITUDE_STEP * middle
         elif middle:
             # beside a frequency that the residual tells, the rest matters less

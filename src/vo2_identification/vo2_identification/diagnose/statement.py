@@ -203,7 +203,8 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
                     unit = {"log10 ohm": "ohm"}.get(
                         JUDGED_UNIT[hypothesis.signal], JUDGED_UNIT[hypothesis.signal]
                     )
-                spread = float(np.hypot(study.chosen.std(index, name), FORM[record.stage] * value))
+                form = 0.0 if name in hypothesis.choices else FORM[record.stage]
+                spread = float(np.hypot(study.chosen.std(index, name), form * value))
                 parameters[name] = Estimate(float(value), spread, unit)
             found.append(
                 NamedEffect(

@@ -17,7 +17,7 @@ from vo2_models.device.borrow import borrow
 from vo2_models.device.coefficients import PER_CHANNEL
 from vo2_models.device.coefficients import Coefficient as C
 from vo2_models.device.coefficients import Sensor as N
-from vo2_models.device.core import ENSEMBLE, advance, fraction_of, initial_transitions
+from vo2_models.device.core import ENSEMBLE, advance, initial_transitions, output_share
 from vo2_models.device.laws import polynomial, truth_deflection, truth_resistance
 from vo2_models.device.state import CURRENT_LINE, SENSOR_LINE
 from vo2_models.device.state import Slot as S
@@ -61,7 +61,7 @@ def _film_deflection(kind, c, x, poly_d):
     if kind == ENSEMBLE:
         value = truth_deflection(c, x[S.FILM], x[S.OUT_D])
     if c[C.HOT_EXPANSION] != 0.0:
-        value -= c[C.HOT_EXPANSION] * fraction_of(kind, 1, x[S.OUT_D], c) * (x[S.FILM] - c[C.AMBIENT])
+        value -= c[C.HOT_EXPANSION] * output_share(kind, 1, x[S.OUT_D], c) * (x[S.FILM] - c[C.AMBIENT])
     return value
 
 

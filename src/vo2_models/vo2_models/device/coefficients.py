@@ -51,6 +51,7 @@ class Coefficient(IntEnum):
     LOSS_EXPONENT = auto()  # 1
     PHASE_LOSS = auto()  # 1
     LATENT = auto()  # K
+    METALLIC_LEADS = auto()  # 1: whether the metallic transition stands for the phase in heat
     DRIFT_RATE = auto()  # K/s
     DRIFT_CURVATURE = auto()  # K/s^2
     LASER = auto()  # K: of the whole film, through the thermal dynamics

@@ -26,7 +26,6 @@ __all__ = [
     "PLAYS",
     "advance",
     "ambient",
-    "fraction_of",
     "initial_transitions",
     "leading",
     "output_share",
@@ -54,29 +53,14 @@ def _laser_on(c, time):
 
 @njit(cache=True, error_model="numpy")
 def output_share(kind, which, raw, c):
-    """Share 0..1 of a transition's own output that has switched, whatever law makes it of the phase."""
+    """Share 0..1 of a transition's output that has switched, which stands for its phase fraction.
+
+    The deflection's is the fraction, as curvature is proportional to it. The resistance's is that of a logarithmic mixing law.
+    """
     if kind == ENSEMBLE:
         return raw
     low, high = (C.PLAY_LOW_D, C.PLAY_HIGH_D) if which == 1 else (C.PLAY_LOW_R, C.PLAY_HIGH_R)
     return (raw - c[low]) / (c[high] - c[low])
-
-
-@njit(cache=True, error_model="numpy")
-def fraction_of(kind, which, raw, c):
-    """Phase fraction 0..1 that a transition output stands for.
-
-    Play bank of the resistance: the log conductance is turned into the metallic fraction by the symmetric
-    effective-medium law in two dimensions; of the deflection: curvature is proportional to the fraction.
-    """
-    if kind == ENSEMBLE:
-        return raw
-    if which == 1:
-        return output_share(kind, which, raw, c)
-    conductivity = 10.0 ** (raw - c[C.PLAY_LOW_R])
-    contrast = 10.0 ** (c[C.PLAY_HIGH_R] - c[C.PLAY_LOW_R])
-    above = (conductivity - 1.0) / (conductivity + 1.0)
-    below = (contrast - conductivity) / (contrast + conductivity)
-    return above / (above + below)
 
 
 @njit(cache=True, error_model="numpy")
@@ -99,13 +83,15 @@ def _peek(kind, lead, v, packed, play, levels, domains, metallic, x):
 
 
 @njit(cache=True, error_model="numpy")
-def leading(kind, packed_d):
-    """Which transition stands for the phase in heat and feedback: the structural one where it is known.
+def leading(kind, c, packed_r, packed_d):
+    """Which transition stands for the phase in heat: the structural one, if it is known, unless the effect says otherwise.
 
-    The lattice carries the latent heat, and deflection is proportional to its fraction whatever law mixes
-    the resistances.
+    The lattice carries the latent heat; but what follows the electrons follows the metallic transition.
     """
-    return 1 if kind == ENSEMBLE or packed_d[0] > 0.0 else 0
+    metallic = c[C.METALLIC_LEADS] > 0.5
+    if kind == ENSEMBLE:
+        return 0 if metallic else 1
+    return 0 if packed_d[0] == 0.0 or (metallic and packed_r[0] > 0.0) else 1
 
 
 @njit(cache=True, error_model="numpy")
@@ -131,7 +117,7 @@ def _fraction_at(
         raw = _peek(kind, lead, v, packed_d, play_d, levels, domains, metallic, x)
     else:
         raw = _peek(kind, lead, v, packed_r, play_r, levels, domains, metallic, x)
-    return fraction_of(kind, lead, _followed(lead, raw, ramp, c, x), c)
+    return output_share(kind, lead, _followed(lead, raw, ramp, c, x), c)
 
 
 @njit(cache=True, error_model="numpy")
@@ -177,8 +163,8 @@ def initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, 
     x[S.EQUILIBRIUM_D] = x[S.RAW_D]
     x[S.OUT_R] = x[S.RAW_R]
     x[S.OUT_D] = x[S.RAW_D]
-    lead = leading(kind, packed_d)
-    x[S.FRACTION] = fraction_of(kind, lead, x[S.OUT_R + lead], c)
+    lead = leading(kind, c, packed_r, packed_d)
+    x[S.FRACTION] = output_share(kind, lead, x[S.OUT_R + lead], c)
 
 
 @njit(cache=True, error_model="numpy")
@@ -305,7 +291,7 @@ def _solve_latent(
 @njit(cache=True, error_model="numpy")
 def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, levels, domains, metallic):
     """Advance temperature and transitions by h [s] under a held current [A]; `time` [s] at the start."""
-    lead = leading(kind, packed_d)
+    lead = leading(kind, c, packed_r, packed_d)
     s = x[S.FRACTION]
     background = ambient(c, time)
     heat = _heat(c, x, current, h, time, background) + x[S.CARRY]
@@ -360,7 +346,7 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
     if c[C.RELAXATION] != 0.0 or c[C.REVERSIBLE] != 0.0 or c[C.REVERSIBLE_SHARE] != 0.0:
         _add_reversible(kind, c, x, film, effective, effective_d, h, packed_r, packed_d, levels)
     if c[C.FEEDBACK] != 0.0:
-        x[S.FRACTION] = fraction_of(kind, lead, x[S.OUT_R + lead], c)
+        x[S.FRACTION] = output_share(kind, lead, x[S.OUT_R + lead], c)
         x[S.LAST_CHANGE] = x[S.FRACTION] - s
     if c[C.LATENT] != 0.0:
         x[S.LAST_HEAT] = heat

@@ -1,7 +1,7 @@
 """Latent heat of the transition."""
 
 from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import HEAT, Effect, constant_of, setting
+from vo2_models.effects.record import HEAT, PHASE, Effect, constant_of, setting
 
 EFFECT = Effect(
     id="latent_heat",
@@ -10,8 +10,9 @@ EFFECT = Effect(
         constant_of(
             "latent", 0.0, "K", "latent heat of the whole film over the heat capacity of the body", 0, 60
         ),
+        PHASE,
     ),
-    apply=setting(latent=Coefficient.LATENT),
+    apply=setting(latent=Coefficient.LATENT, phase=Coefficient.METALLIC_LEADS),
     channels=HEAT,
     presets=("integrated",),
     typical={"integrated": {"latent": (5.0, 25.0)}},

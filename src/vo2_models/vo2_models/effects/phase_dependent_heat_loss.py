@@ -1,7 +1,7 @@
 """The metallic phase conducts heat differently."""
 
 from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import HEAT, Effect, constant_of, setting
+from vo2_models.effects.record import HEAT, PHASE, Effect, constant_of, setting
 
 EFFECT = Effect(
     id="phase_dependent_heat_loss",
@@ -10,8 +10,9 @@ EFFECT = Effect(
         constant_of(
             "gamma", 0, "1", "relative change of the heat loss from insulating to metallic", -0.6, 1.5
         ),
+        PHASE,
     ),
-    apply=setting(gamma=Coefficient.PHASE_LOSS),
+    apply=setting(gamma=Coefficient.PHASE_LOSS, phase=Coefficient.METALLIC_LEADS),
     channels=HEAT,
     presets=("integrated",),
     typical={"integrated": {"gamma": (0.04, 0.15)}},

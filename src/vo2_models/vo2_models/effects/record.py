@@ -13,7 +13,19 @@ from vo2_models.device.coefficients import Coefficient, Sensor, sensor_index
 from vo2_models.parameters import Parameter
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
-__all__ = ["ALL", "FILM", "HEAT", "Apply", "Effect", "Stage", "constant_of", "scaled_by_device", "setting"]
+__all__ = [
+    "ALL",
+    "CHOICE",
+    "FILM",
+    "HEAT",
+    "PHASE",
+    "Apply",
+    "Effect",
+    "Stage",
+    "constant_of",
+    "scaled_by_device",
+    "setting",
+]
 
 Stage = Literal["driver", "thermal", "transition", "terminals", "structure", "sensor"]
 Floats = NDArray[np.float64]
@@ -144,3 +156,10 @@ def constant_of(
 ) -> Parameter:
     """Return a `Parameter` of an effect; `default` is its neutral value."""
     return Parameter(name, float(default), unit, description, float(lower), float(upper))
+
+
+CHOICE = "choice"
+"""Unit of a parameter that is one of two alternatives, 0 or 1: tried both ways, never fitted."""
+PHASE = constant_of(
+    "phase", 0, CHOICE, "transition whose fraction s counts: 0 the structural one, 1 the metallic one", 0, 1
+)
