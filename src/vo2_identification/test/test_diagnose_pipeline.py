@@ -118,6 +118,29 @@ def test_a_small_late_part_on_top_is_found_with_its_steady_gain(parameters) -> N
     assert found["gain"].value == pytest.approx(0.012, rel=0.3)
 
 
+def test_two_effects_are_found_together(parameters) -> None:
+    answer = diagnose(
+        [
+            concealed(
+                {
+                    "creep": {"share": 0.05, "time_constant": 0.2},
+                    "leakage_resistance": {"conductance": 3e-7},
+                }
+            )
+        ],
+        parameters,
+    )
+    assert {e.id for e in answer.effects} == {"creep", "leakage_resistance"}
+
+
+@pytest.mark.parametrize("phase", [0.0, 1.0])
+def test_the_recording_tells_which_transition_takes_up_the_heat(parameters, phase) -> None:
+    chosen = study([concealed({"latent_heat": {"latent": 15.0, "phase": phase}})], parameters).chosen
+    assert chosen is not None and chosen.keys == ("latent_heat",)
+    assert chosen.values[0]["phase"] == phase
+    assert chosen.values[0]["latent"] == pytest.approx(15.0, rel=0.2)
+
+
 def test_a_light_that_is_always_on_is_told_as_a_constant(parameters) -> None:
     answer = diagnose([concealed({"laser_heating": {"rise": 0.5}})], parameters)
     assert answer.verdict == "differs"

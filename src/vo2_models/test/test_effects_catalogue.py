@@ -226,6 +226,17 @@ def test_incongruency_spares_the_plateaus_and_tilts_the_loop():
     assert steep0 - steep1 == pytest.approx(2.5 * 0.6, rel=0.15)
 
 
+def test_slow_relaxation_follows_the_last_motion_and_is_forgotten():
+    hold = np.full(400, 6.35e-3)
+    back = np.full(400, 6.345e-3)  # a little colder: the film hardly moves, but the other way
+    current = np.r_[np.full(60, 4.2e-3), hold, back, np.full(60, 8.4e-3)]
+    base, run = _pair("slow_relaxation", "integrated", current, amplitude=0.02, onset=5e-3)
+    drift = np.log(run[RESISTANCE] / base[RESISTANCE])
+    assert drift[459] < drift[100] < 0.0  # heated: on towards the metal
+    assert drift[859] > drift[459] + 0.5 * abs(drift[459])  # cooled a little: back
+    assert np.max(np.abs(drift[-10:])) < 0.02 * np.max(np.abs(drift))  # heated through: nothing is left
+
+
 def test_training_counts_reversals():
     cycle = np.r_[np.full(15, 4.2e-3), np.full(15, 8.3e-3)]
     base, run = _pair("training_drift", "integrated", np.tile(cycle, 10), shift=0.1)

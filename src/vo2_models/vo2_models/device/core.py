@@ -192,6 +192,8 @@ def _hold(c, x, film, h):
     """
     travel = film - x[S.ANCHOR]
     x[S.ANCHOR] = film
+    if travel * x[S.HOLD_SIGN] < 0.0:
+        x[S.HELD] = 0.0
     if travel != 0.0:
         x[S.HOLD_SIGN] = 1.0 if travel > 0.0 else -1.0
     if abs(travel) * c[C.RELAXATION_TIME] > STILL * h:
