@@ -1,6 +1,7 @@
 """The whole diagnosis on simulated devices whose hysteresis is an ensemble of domains, not the fitted family."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -135,10 +136,14 @@ def test_two_effects_are_found_together(parameters) -> None:
 
 @pytest.mark.parametrize("phase", [0.0, 1.0])
 def test_the_recording_tells_which_transition_takes_up_the_heat(parameters, phase) -> None:
-    chosen = study([concealed({"latent_heat": {"latent": 15.0, "phase": phase}})], parameters).chosen
+    """Loops of the fitted family here: of another mixing law, the metallic fraction is not known that well."""
+    current = concealed()[HEATER_CURRENT]
+    device = DeviceModel.from_parameters(parameters)
+    changed = replace(device, effects={"latent_heat": {"latent": 15.0, "phase": phase}})
+    chosen = study([measured(changed.simulate(current, seed=3))], parameters).chosen
     assert chosen is not None and chosen.keys == ("latent_heat",)
     assert chosen.values[0]["phase"] == phase
-    assert chosen.values[0]["latent"] == pytest.approx(15.0, rel=0.2)
+    assert chosen.values[0]["latent"] == pytest.approx(15.0, rel=0.05)
 
 
 def test_a_light_that_is_always_on_is_told_as_a_constant(parameters) -> None:

@@ -148,6 +148,8 @@ def score(
     -------
     the best start of each hypothesis, best hypothesis first
     """
+    # what happens between samples changes a size, not whether a refit is worth it; but like is compared with like
+    fine = bool(evidence.included)
     left = evidence.left(residual)
     best: dict[str, Score] = {h.key: Score(h, h.starts[0], 0.0) for h in hypotheses}
     trials: list[tuple[Hypothesis, dict[str, float]]] = []
@@ -162,9 +164,8 @@ def score(
         again: list[tuple[float, Hypothesis, dict[str, float]]] = []
         for first in range(0, len(trials), BATCH):
             some = trials[first : first + BATCH]
-            # what happens between samples changes a size, not whether a refit is worth it
             columns = np.column_stack(
-                evidence.deviations([h.effects(values) for h, values in some], fine=False)
+                evidence.deviations([h.effects(values) for h, values in some], fine=fine)
             )
             for _ in some:
                 tick()
