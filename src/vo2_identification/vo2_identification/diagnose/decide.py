@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from vo2_identification.diagnose.evidence import Evidence
 from vo2_identification.diagnose.explain import Explanation, fit_jointly
+from vo2_identification.diagnose.hypotheses import Hypothesis
 
 __all__ = ["HeldOut", "Thresholds", "block_folds", "held_out", "probabilities"]
 
@@ -28,6 +29,7 @@ class Thresholds:
     ----------
     gain : least drop of q of a named effect; on some fifty recordings without effect whose drop was looked at,
         the largest drop was 329
+    evident_gain : the same of an effect that the values show by themselves, as those of a coarse converter do
     sigmas : least distance of a magnitude from neutral, in its standard deviations
     slack : residual power beyond the noise, in noise powers, that unchanged devices show too
     complete : share of the excess beyond that which names must explain together, else "unknown" is the answer
@@ -49,6 +51,7 @@ class Thresholds:
     """
 
     gain: float = 400.0
+    evident_gain: float = 25.0
     sigmas: float = 4.0
     slack: float = 0.12
     complete: float = 0.75
@@ -65,6 +68,10 @@ class Thresholds:
     plain: float = 0.4
     rival: float = 25.0
     temper: float = 8.0
+
+    def least(self, hypothesis: Hypothesis) -> float:
+        """Least drop of q with which a hypothesis is named."""
+        return self.evident_gain if hypothesis.evident else self.gain
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,8 @@ INSIDE = (1.0, 0.995, 0.98, 0.95, 0.9, 0.8, 0.6)
 """Shares of the values that a limit may leave as they are."""
 MAGNITUDE_STEP = 0.05
 """A step that matters of a magnitude, as a share of its typical size."""
+COARSE = 1.2
+"""Noise of a converter over that of the calibration from which the converter is a new one."""
 REPEATED = 8
 """So often a converter at its limit gives the same value; noise does not."""
 
@@ -45,12 +47,14 @@ class Hypothesis:
     signal : channel it sits on, empty for none
     starts : starting values of the parameters that are fitted; one that a start leaves out stays neutral
     scales : parameter -> a step that matters
+    evident : whether the values show it by themselves: all on a grid much coarser than the calibration's noise
     """
 
     record: Effect
     signal: str
     starts: tuple[Values, ...]
     scales: Values
+    evident: bool = False
 
     @property
     def key(self) -> str:
@@ -116,8 +120,21 @@ def hypotheses(evidence: Evidence, device: str, residual: Floats) -> list[Hypoth
                 continue
             starts, scales = _starts(evidence, record, signal, device, residual)
             if starts:
-                found.append(Hypothesis(record, signal, tuple(starts), scales))
+                on_grid = "step" in scales and _coarser_than_before(evidence, signal)
+                found.append(Hypothesis(record, signal, tuple(starts), scales, evident=on_grid))
     return found
+
+
+def _coarser_than_before(evidence: Evidence, signal: str) -> bool:
+    """Whether the values lie on a grid that the calibration's noise cannot have come from.
+
+    A converter alone makes a noise of step / sqrt(12).
+    """
+    return any(
+        float(np.median(part.comb_level(signal))) > COARSE * evidence.nominal.noise[signal].level
+        for part in evidence.parts
+        if signal in part.comb
+    )
 
 
 def _starts(

@@ -424,7 +424,7 @@ def _options(
     """What could be the answer, best first: two effects, one effect."""
     evidence, limits = base.evidence, base.thresholds
     first = _best_inside(singles)
-    if first is None or first.gain <= limits.gain:
+    if first is None or first.gain <= limits.least(first.hypotheses[0]):
         return []
     clock.say("linearising about the explanation")
     alone = option_of(base.nominal, evidence, first, singles, tick=clock.tick)

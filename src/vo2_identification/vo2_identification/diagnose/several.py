@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from vo2_identification.diagnose.decide import Thresholds
 from vo2_identification.diagnose.evidence import Evidence, gather
-from vo2_identification.diagnose.explain import BRIEF, Explanation, fit_jointly, score, switched
+from vo2_identification.diagnose.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
 from vo2_identification.diagnose.hypotheses import Hypothesis
 from vo2_identification.diagnose.nominal import Nominal
 
@@ -140,7 +140,8 @@ def pair_of(
     found.sort(key=lambda item: item[1].chi_square)
     where, best = found[0]
     drop, leftover = before - best.chi_square, before - about.count
-    if drop < max(limits.gain, limits.second * leftover):
+    least = min(limits.least(h) for h in best.hypotheses)
+    if drop < max(least, limits.second * leftover):
         return None
     excess = evidence.chi_square(evidence.residual) - evidence.count
     thorough = leftover > limits.gain and drop > limits.thorough * leftover
@@ -167,7 +168,7 @@ def _joined(
     base = replace(about.base, thermal=np.hstack([FREE * first.tangent, about.base.thermal]))
     scores = score(replace(about, base=base), others, residual, tick=tick)
     joints = []
-    for s in [s for s in scores if s.gain > max(limits.gain, 0.1 * scores[0].gain)][:PARTNERS]:
+    for s in [s for s in scores if s.gain > _least(s, scores, limits)][:PARTNERS]:
         start = switched(about, s.hypothesis, s.start, residual, tick=tick)
         joint = fit_jointly(
             about, [*first.hypotheses, s.hypothesis], [*first.values, start], iterations=8, tick=tick
@@ -175,6 +176,12 @@ def _joined(
         if not joint.at_bound:
             joints.append(joint)
     return sorted(joints, key=lambda e: e.chi_square)
+
+
+def _least(one: Score, scores: Sequence[Score], limits: Thresholds) -> float:
+    """Score from which a partner is refitted."""
+    least = limits.least(one.hypothesis)
+    return least if one.hypothesis.evident else max(least, 0.1 * scores[0].gain)
 
 
 def _alike(about: Evidence, joint: Explanation) -> float:
