@@ -16,7 +16,7 @@ EFFECT = Effect(
     channels=HEAT,
     presets=("integrated",),
     typical={"integrated": {"latent": (5.0, 25.0)}},
-    equation="tau (1 + L ds/dT) dT/dt = T_inf(i) - T",
+    equation="tau (1 + L ds/dT) dT/dt = T_inf(i) - T, s of the structural (phase 0) or the metallic transition (phase 1)",
     excitation="crossings of the transition faster than a few time constants, at more than one rate",
     source=(
         "mismatch table; first-order transition of VO2, about 51 J/g against 0.7 J/(g K) for the film alone "

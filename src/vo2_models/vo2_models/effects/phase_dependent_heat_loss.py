@@ -16,7 +16,7 @@ EFFECT = Effect(
     channels=HEAT,
     presets=("integrated",),
     typical={"integrated": {"gamma": (0.04, 0.15)}},
-    equation="tau dtheta/dt = k u - (1 + gamma s) theta",
+    equation="tau dtheta/dt = k u - (1 + gamma s) theta, s of the structural (phase 0) or metallic transition (phase 1)",
     excitation="both plateaus and the inside of the loop, at steady levels and at steps",
     source=(
         "thermal conductivity and infrared emissivity of VO2 change with the phase: Oh et al., Appl. Phys. "
