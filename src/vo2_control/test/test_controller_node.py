@@ -206,7 +206,7 @@ def test_wall_time_goes_on_while_a_law_is_designed_and_takes_it_over(fitted_mode
         assert node.set_parameters_atomically(ros_parameters(fitted_model)).successful
         answer = node._on_redesign(Trigger.Request(), Trigger.Response())
         assert answer.success and "beside the loop" in answer.message
-        answered_before, deadline = 0, time.monotonic() + 60.0
+        answered_before, deadline = 0, time.monotonic() + 300.0  # of a machine that does other work too
         for k in itertools.count(1):
             rig.say("/vo2/estimate", 100 * k * MS, estimate(30 * UM))
             rig.until(lambda k=k: any(stamp == 100 * k * MS for stamp, _ in rig.heard["/vo2/command"]))

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from vo2_control.controller import CurrentLimits
 from vo2_control.pid import PidGains, pid_controller
@@ -25,7 +25,7 @@ def run(s, samples, start=0, estimate=25e-6):
     return decision
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 2.5e306, -1.0])
 def test_bad_estimate_holds_three_samples_then_lets_go(bad):
     s = supervisor()
     held = run(s, 20).current_a
@@ -96,6 +96,9 @@ values = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.floats(0, 
 
 @settings(max_examples=60, deadline=None)
 @given(samples=st.lists(st.tuples(values, values), min_size=1, max_size=40))
+@example(samples=[(0.0, 2.5e306)])
+@example(samples=[(0.0, 0.0), (0.0, 2.5e306), (0.0, 0.0)])
+@example(samples=[(1e300, 0.0), (math.inf, 0.0)])
 def test_whatever_comes_the_current_is_finite_and_within_limits(samples):
     s = supervisor()
     for k, (reference, estimate) in enumerate(samples):

@@ -15,6 +15,8 @@ from vo2_control.controller import Controller
 
 __all__ = ["Decision", "SafetySettings", "Supervisor"]
 
+ABSURD_M = 1.0
+"""Deflection [m] that no microactuator has: a value beyond is as good as none."""
 Mode = Literal["idle", "tracking", "limited", "holding", "safe"]
 
 
@@ -100,9 +102,10 @@ class Supervisor:
         self, time_s: float, reference_m: float, estimate_m: float, feedforward_a: float = 0.0
     ) -> Decision:
         """Answer one sample taken at `time_s` [s]."""
-        if not (math.isfinite(reference_m) and math.isfinite(estimate_m)):
-            return self._without_input(time_s, self._fault(reference_m, estimate_m))
         reference = self.reachable(reference_m)
+        known = math.isfinite(reference_m) and abs(reference) < ABSURD_M
+        if not (known and abs(estimate_m) < ABSURD_M):
+            return self._without_input(time_s, self._fault(reference_m, estimate_m))
         if self._mode in ("idle", "safe"):
             self._controller.reset(self._current, reference, estimate_m, feedforward_a)
         self._current = self._controller.update(reference, estimate_m, feedforward_a)
@@ -144,6 +147,6 @@ class Supervisor:
 
     @staticmethod
     def _fault(reference_m: float, estimate_m: float) -> str:
-        if not math.isfinite(estimate_m):
-            return f"estimate is {estimate_m}"
-        return f"reference is {reference_m}"
+        if not abs(estimate_m) < ABSURD_M:
+            return f"estimate is {estimate_m:.3g} m"
+        return f"reference is {reference_m:.3g} m"
