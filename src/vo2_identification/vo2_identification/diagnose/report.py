@@ -208,7 +208,10 @@ def _effect(effect: NamedEffect) -> str:
         paragraph(f"Added term: {effect.equation}"),
     ]
     if effect.parameters:
-        rows = [(key, f"{e.value:.4g}", f"{e.std:.2g}" if e.std else "not fitted", e.unit) for key, e in effect.parameters.items()]
+        rows = [
+            (key, f"{e.value:.4g}", f"{e.std:.2g}" if e.std else "not fitted", e.unit)
+            for key, e in effect.parameters.items()
+        ]
         parts.append(table("Parameters", ("parameter", "value", "standard deviation", "unit"), rows))
     return "\n".join(parts)
 
