@@ -134,6 +134,14 @@ def test_two_effects_are_found_together(parameters) -> None:
     assert {e.id for e in answer.effects} == {"creep", "leakage_resistance"}
 
 
+def test_a_coarser_converter_is_named_with_little_to_gain(parameters) -> None:
+    recording = concealed()
+    coarse = {**recording.channels, RESISTANCE: 600.0 * np.rint(recording[RESISTANCE] / 600.0)}
+    answer = diagnose([Recording(recording.time_s, coarse, recording.device)], parameters)
+    assert [(e.id, e.signal) for e in answer.effects] == [("adc_quantization", RESISTANCE)]
+    assert answer.effects[0].parameters["step"].value == pytest.approx(600.0)
+
+
 @pytest.mark.parametrize("phase", [0.0, 1.0])
 def test_the_recording_tells_which_transition_takes_up_the_heat(parameters, phase) -> None:
     """Loops of the fitted family here: of another mixing law, the metallic fraction is not known that well."""

@@ -114,7 +114,7 @@ def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") 
     for channel in observed:
         raw = recording[channel][valid[channel]]
         step = value_step(raw)
-        size = step / (np.log(10) * float(np.median(raw))) if channel == RESISTANCE else step
+        size = step / (np.log(10) * float(np.quantile(raw, 0.1))) if channel == RESISTANCE else step
         if channel in nominal.noise and size > 2.0 * nominal.noise[channel].level:
             comb[channel] = step
     dt = recording.sample_period_s
@@ -135,11 +135,10 @@ def _longest_blind(logged: Floats, nominal: Nominal, dt: float) -> tuple[tuple[i
 def value_step(values: Floats) -> float:
     """Distance of neighbouring values if all lie on a comb, else 0.
 
-    A comb is told from chance by the number of distinct values: far fewer than samples, all of them at
-    multiples of one distance.
+    A comb is told from chance by values that repeat and lie, all of them, at multiples of one distance.
     """
     distinct = np.unique(values)
-    if distinct.size < 3 or distinct.size > 0.2 * values.size:
+    if distinct.size < 3 or distinct.size > 0.8 * values.size:
         return 0.0
     gaps = np.diff(distinct)
     gaps = gaps[gaps > 1e-6 * np.max(gaps)]
