@@ -11,7 +11,7 @@ from vo2_identification.diagnose.evidence import gather
 from vo2_identification.diagnose.explain import switched
 from vo2_identification.diagnose.hypotheses import Hypothesis
 from vo2_identification.diagnose.noise import NoiseModel
-from vo2_identification.diagnose.nominal import Nominal
+from vo2_identification.diagnose.nominal import Nominal, rounded_with_noise
 from vo2_identification.diagnose.part import prepare
 from vo2_identification.diagnose.tangent import Tangent
 from vo2_models.device import DeviceModel
@@ -120,3 +120,21 @@ def test_switching_times_are_found_by_search() -> None:
     assert abs(found["start"] - 0.731) < 0.02  # from 0.23 and 0.34 s off
     assert abs(found["stop"] - 1.862) < 0.02  # from 0.23 and 0.34 s off
     assert 0.4 < found["rise"] < 1.2
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 1.0])
+def test_rounding_under_noise_is_its_mean(share) -> None:
+    rng = np.random.default_rng(3)
+    values, step = rng.uniform(-3.0, 3.0, 200), 0.7
+    drawn = values + share * step * rng.standard_normal((40_000, 200))
+    mean = np.mean(step * np.rint(drawn / step), axis=0)
+    assert rounded_with_noise(values, step, np.full(200, share * step)) == pytest.approx(
+        mean, abs=0.025 * step
+    )
+
+
+def test_rounding_without_noise_is_a_staircase() -> None:
+    values = np.linspace(-2.0, 2.0, 401)
+    away = np.abs(np.abs(values / 0.5 - np.floor(values / 0.5)) - 0.5) > 0.1
+    found = rounded_with_noise(values, 0.5, np.zeros(401))
+    assert found[away] == pytest.approx(0.5 * np.rint(values / 0.5)[away], abs=0.005)

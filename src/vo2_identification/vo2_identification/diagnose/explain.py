@@ -25,6 +25,10 @@ SMALLEST = 1e-3
 """Smallest effect that is looked for, as a share of a start."""
 BRIEF = 4
 """Iterations after which a refit shows whether it is worth going on."""
+SHOWS = 4.0
+"""Change of q by a step of a parameter from which a bound that it has come to matters."""
+FORGONE = 1e-3
+"""Drop of q beyond a bound, as a share of the gain, from which the bound matters."""
 BATCH = 32
 """Simulations judged together; one matrix product serves them all."""
 
@@ -336,10 +340,15 @@ def fit_jointly(
         problem.linearise(values, change, shift)
     left = evidence.left(problem.tangent)
     covariance = _covariance(evidence, problem.tangent, left, evidence.residual - change)
+    # a shape that hardly shows, and would gain nothing beyond its bound, is nowhere
+    curvature = np.sum(problem.tangent * left, axis=0)
+    beyond = (left.T @ (evidence.residual - change)) ** 2 / np.maximum(curvature, 1e-9)
+    shows = (curvature > SHOWS) | (beyond > FORGONE * (q_start - q))
     at_bound = tuple(
         f"{hypotheses[k].key}.{name}"
-        for k, name in coordinates
-        if any(
+        for place, (k, name) in enumerate(coordinates)
+        if shows[place]
+        and any(
             np.isclose(values[k][name], b, rtol=1e-6) and abs(b) < 1e9 and b != 0.0
             for b in hypotheses[k].bounds(name)
         )

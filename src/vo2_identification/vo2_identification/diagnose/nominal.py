@@ -27,7 +27,16 @@ from vo2_models.recording import (
 from vo2_identification.diagnose.carry import carried
 from vo2_identification.diagnose.noise import NoiseModel
 
-__all__ = ["JUDGED_UNIT", "Nominal", "Response", "basis_of", "drive_of", "judged", "span_of"]
+__all__ = [
+    "JUDGED_UNIT",
+    "Nominal",
+    "Response",
+    "basis_of",
+    "drive_of",
+    "judged",
+    "rounded_with_noise",
+    "span_of",
+]
 
 Floats = NDArray[np.float64]
 JUDGED_UNIT = {HEATER_CURRENT: "A", RESISTANCE: "log10 ohm", TIP_DEFLECTION: "m", STAGE_TEMPERATURE: "degC"}
@@ -36,6 +45,8 @@ RINGING = 0.05
 """Cycles per sample from which a mode follows what happens between samples."""
 MOVED = 5.0
 """Move of a thermal parameter, in standard deviations, that may hide an effect."""
+TONES = 40
+"""Tones of a staircase that are kept."""
 FINE = 4
 """Steps of a sample where it counts what happens in between."""
 THERMAL = {
@@ -164,6 +175,13 @@ class Nominal:
         """Range of each channel in judged units."""
         return span_of(self.device)
 
+    def _noise_of(self, channel: str, values: Floats) -> Floats:
+        """Noise of a channel (n,) in its own unit."""
+        level = self.noise[channel].level if channel in self.noise else 0.0
+        return (
+            np.abs(values) * level * np.log(10.0) if channel == RESISTANCE else np.full(values.shape, level)
+        )
+
     def respond(
         self,
         current: Floats,
@@ -192,6 +210,7 @@ class Nominal:
         chain = replace(chain, coefficients=c)
         if effects:
             chain = chain.with_effects(effects)
+        chain, grids = _without_rounding(chain)
         lead = 0
         if settled:
             lead = int(np.ceil(10 * (c[Coefficient.TIME_CONSTANT] + c[Coefficient.DEAD_TIME]) / dt))
@@ -209,8 +228,45 @@ class Nominal:
         for k, channel in enumerate(CHANNELS):
             if channel == STAGE_TEMPERATURE and not preset(self.device).measures_temperature:
                 continue
-            found[channel] = np.log10(np.maximum(out[:, k], 1e-3)) if channel == RESISTANCE else out[:, k]
+            values = out[:, k]
+            if channel in grids:
+                values = rounded_with_noise(values, grids[channel], self._noise_of(channel, values))
+            found[channel] = np.log10(np.maximum(values, 1e-3)) if channel == RESISTANCE else values
         return Response({k: v[lead:] for k, v in found.items()}, film[lead:])
+
+
+def rounded_with_noise(values: Floats, step: float, noise: Floats) -> Floats:
+    """Mean of step round((x + n) / step) over Gaussian noise n: what a coarse converter shows of x on average.
+
+    x + step / pi sum_m (-1)^m / m exp(-2 (pi m s / step)^2) sin(2 pi m x / step), s the noise: the Fourier series of the
+    staircase, damped as noise damps each tone. Without noise it is the staircase.
+
+    Parameters
+    ----------
+    values : (n,) x
+    step : distance of neighbouring values
+    noise : (n,) standard deviations
+    """
+    share = np.maximum(noise / step, 0.02)  # below, forty tones would not do
+    out = values.copy()
+    phase = 2.0 * np.pi * values / step
+    for m in range(1, TONES + 1):
+        damping = np.exp(-2.0 * (np.pi * m * share) ** 2)
+        out += step / np.pi * (-1.0) ** m / m * damping * np.sin(m * phase)
+    return out
+
+
+def _without_rounding(chain: Simulation) -> tuple[Simulation, dict[str, float]]:
+    """The same chain with fine converters, and the steps of the coarse ones."""
+    places = {channel: sensor_index(channel, Sensor.STEP) for channel in CHANNELS}
+    grids = {
+        channel: float(chain.coefficients[k]) for channel, k in places.items() if chain.coefficients[k] > 0
+    }
+    if not grids:
+        return chain, {}
+    c = chain.coefficients.copy()
+    c[list(places.values())] = 0.0
+    return replace(chain, coefficients=c), grids
 
 
 def _between_samples(c: Floats, dt: float) -> bool:
