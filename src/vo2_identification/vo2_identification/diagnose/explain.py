@@ -27,8 +27,8 @@ BRIEF = 4
 """Iterations after which a refit shows whether it is worth going on."""
 SHOWS = 4.0
 """Change of q by a step of a parameter from which a bound that it has come to matters."""
-FORGONE = 1e-3
-"""Drop of q beyond a bound, as a share of the gain, from which the bound matters."""
+FORGONE = 100.0
+"""Drop of q beyond a bound from which the bound matters: a quarter of what makes a name."""
 BATCH = 32
 """Simulations judged together; one matrix product serves them all."""
 
@@ -343,7 +343,7 @@ def fit_jointly(
     # a shape that hardly shows, and would gain nothing beyond its bound, is nowhere
     curvature = np.sum(problem.tangent * left, axis=0)
     beyond = (left.T @ (evidence.residual - change)) ** 2 / np.maximum(curvature, 1e-9)
-    shows = (curvature > SHOWS) | (beyond > FORGONE * (q_start - q))
+    shows = (curvature > SHOWS) | (beyond > FORGONE)
     at_bound = tuple(
         f"{hypotheses[k].key}.{name}"
         for place, (k, name) in enumerate(coordinates)

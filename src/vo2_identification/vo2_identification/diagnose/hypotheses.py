@@ -77,8 +77,10 @@ class Hypothesis:
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """Parameters that are tried both ways and not fitted."""
-        return tuple(p.name for p in self.record.parameters if p.unit == CHOICE)
+        """Parameters that are not fitted: alternatives are tried both ways, an evident step is read off the values."""
+        return tuple(
+            p.name for p in self.record.parameters if p.unit == CHOICE or (self.evident and p.name == "step")
+        )
 
     @property
     def magnitudes(self) -> tuple[str, ...]:

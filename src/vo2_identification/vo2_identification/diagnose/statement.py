@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from vo2_models.effects.record import CHOICE
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
 from vo2_identification.diagnose.check import limits_in_words
@@ -203,7 +204,7 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
                     unit = {"log10 ohm": "ohm"}.get(
                         JUDGED_UNIT[hypothesis.signal], JUDGED_UNIT[hypothesis.signal]
                     )
-                form = 0.0 if name in hypothesis.choices else FORM[record.stage]
+                form = 0.0 if unit == CHOICE else FORM[record.stage]
                 spread = float(np.hypot(study.chosen.std(index, name), form * value))
                 parameters[name] = Estimate(float(value), spread, unit)
             found.append(
