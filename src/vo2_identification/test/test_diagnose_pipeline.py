@@ -142,6 +142,17 @@ def test_a_coarser_converter_is_named_with_little_to_gain(parameters) -> None:
     assert answer.effects[0].parameters["step"].value == pytest.approx(600.0)
 
 
+@pytest.mark.parametrize("straight", [True, False])
+def test_a_gain_that_settles_is_no_drift(parameters, straight) -> None:
+    plain = concealed()
+    past = plain.time_s / plain.time_s[-1]
+    change = -0.02 * past if straight else -0.04 * (1.0 - np.exp(-4.0 * past))
+    film = plain[RESISTANCE] * (1.0 + change)
+    answer = diagnose([Recording(plain.time_s, {**plain.channels, RESISTANCE: film}, DEVICE)], parameters)
+    assert [e.id for e in answer.effects] == ["sensor_gain_drift" if straight else "unknown"]
+    assert answer.location[0].signal == RESISTANCE
+
+
 @pytest.mark.parametrize("phase", [0.0, 1.0])
 def test_the_recording_tells_which_transition_takes_up_the_heat(parameters, phase) -> None:
     """Loops of the fitted family here: of another mixing law, the metallic fraction is not known that well."""

@@ -24,7 +24,7 @@ from vo2_identification.diagnose.noise import fit_noise
 from vo2_identification.diagnose.nominal import MOVED, Nominal, loop_ends
 from vo2_identification.diagnose.part import prepare
 from vo2_identification.diagnose.result import Diagnosis, NextExperiment
-from vo2_identification.diagnose.several import Option, option_of, pair_of, trace
+from vo2_identification.diagnose.several import Option, bend, option_of, pair_of, trace
 from vo2_identification.diagnose.statement import assemble
 from vo2_identification.diagnose.unknown import Unnamed, describe_unknown
 
@@ -448,6 +448,7 @@ def _sound(
         and _complete(chosen, option.remaining, evidence, limits) >= needed
         and not chosen.at_bound
         and not _worsens(judged)
+        and not _bends(option, limits)
     )
 
 
@@ -464,6 +465,12 @@ def _best_inside(explanations: Sequence[Explanation]) -> Explanation | None:
 def _worsens(judged: HeldOut) -> bool:
     """Whether a channel is predicted worse with the explanation than without, by more than its noise."""
     return any(judged.after[c] > judged.before[c] + judged.floor[c] for c in judged.after)
+
+
+def _bends(option: Option, limits: Thresholds) -> bool:
+    """Whether what is named as straight in time leaves a bend that would count as a second effect."""
+    leftover = option.final.count * max(option.remaining, 0.0)
+    return bend(option) > max(limits.gain, limits.second * leftover)
 
 
 def _complete(explanation: Explanation, remaining: float, evidence: Evidence, limits: Thresholds) -> float:

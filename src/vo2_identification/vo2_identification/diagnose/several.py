@@ -19,7 +19,7 @@ from vo2_identification.diagnose.explain import BRIEF, Explanation, Score, fit_j
 from vo2_identification.diagnose.hypotheses import Hypothesis
 from vo2_identification.diagnose.nominal import Nominal
 
-__all__ = ["Option", "option_of", "pair_of", "trace"]
+__all__ = ["Option", "bend", "option_of", "pair_of", "trace"]
 
 Floats = NDArray[np.float64]
 Tick = Callable[[], None]
@@ -55,6 +55,27 @@ def trace(final: Evidence) -> Floats:
     """What the effects that the problem is about change in the recording, (N,) whitened, without noise."""
     plain = replace(final, included={})
     return -plain.stack(plain.responses({}), final.nominal_responses)
+
+
+def bend(option: Option) -> float:
+    """Largest drop of q from letting an effect that is straight in time bend (to the third power of time)."""
+    final, chosen = option.final, option.chosen
+    residual = final.residual - chosen.deviation
+    rest = final.left(residual)
+    time = np.empty(final.weight.size)
+    for row, part, _ in final.iterate():
+        time[row.where] = np.linspace(0.0, 1.0, part.size)
+    found = 0.0
+    for hypothesis in chosen.hypotheses:
+        if not hypothesis.record.straight:
+            continue
+        without = replace(final, included={k: v for k, v in final.included.items() if k != hypothesis.key})
+        own = -without.stack(without.responses({}), final.nominal_responses)
+        columns = own[:, None] * time[:, None] ** np.arange(3)
+        gram = columns.T @ final.left(columns)
+        against = columns.T @ rest
+        found = max(found, float(against @ np.linalg.pinv(gram, hermitian=True) @ against))
+    return found
 
 
 def option_of(

@@ -55,6 +55,7 @@ class Effect:
     presets : devices on which it can occur
     typical : preset, or "preset:signal", -> parameter -> range of clearly visible magnitudes, for demonstrations
     fixed : parameters that an excitation cannot separate from the others; a fit leaves them at their default
+    straight : whether what it does grows in proportion to the time: what bends in time is something else
     equation : the added term
     excitation : what a recording must contain to show it
     source : where the term comes from
@@ -74,6 +75,7 @@ class Effect:
     signal: bool = False
     presets: tuple[str, ...] = ("integrated", "peltier")
     fixed: tuple[str, ...] = ()
+    straight: bool = False
 
     def neutral(self) -> dict[str, float]:
         """Return the parameter values at which the effect is off."""

@@ -11,6 +11,7 @@ EFFECT = Effect(
     apply=setting(rate=Sensor.DRIFT),
     channels=(RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE),
     signal=True,
+    straight=True,
     typical={"integrated": {"rate": (1e-3, 5e-3)}, "peltier": {"rate": (1e-5, 6e-5)}},
     equation="y = y_true (1 + rate t)",
     excitation="identical loops at the start and the end of the recording",
