@@ -203,6 +203,24 @@ def test_identified_from_a_recording_it_estimates_an_independent_sequence(seed):
         assert error["composite"] < error[other] < 2.5
 
 
+def test_together_the_composite_and_the_direct_scheme_err_less_on_a_slow_cycle():
+    """Three cycles between levels that the identification does not stop at, means of three devices."""
+    error = {kind: [] for kind in ("composite", "preisach", "combined")}
+    cycle = 5.95e-3 + 1.1e-3 * np.sin(2 * np.pi * np.arange(9000) / 3000)
+    for seed in (21, 22, 23):
+        device = truth("integrated", seed=seed)
+        recorded = device.simulate(identification_current(), seed=seed)
+        names = ("heater_current", RESISTANCE, TIP_DEFLECTION)
+        given = Recording(recorded.time_s, {name: recorded[name] for name in names}, "integrated")
+        parameters = identify(given, "integrated")
+        test = device.simulate(np.concatenate([np.full(30, 3.68e-3), cycle]), seed=seed + 1)
+        for kind, found in error.items():
+            estimate, _ = self_sensing(kind, parameters).estimate(test[RESISTANCE])
+            found.append(np.mean(np.abs(estimate.deflection - test["true_tip_deflection"])[30:]) / 57.03e-6)
+    means = {kind: float(np.mean(found)) for kind, found in error.items()}
+    assert means["combined"] < 0.95 * min(means["composite"], means["preisach"])
+
+
 def test_identification_uses_the_channels_there_are():
     recorded = truth("integrated", seed=1).simulate(identification_current(), seed=1)
     film = Recording(

@@ -15,6 +15,7 @@ _HOME = {
     "SelfSensing": "scheme",
     "self_sensing": "scheme",
     "CompositeSelfSensing": "composite",
+    "CombinedSelfSensing": "combined",
     "DirectEGPISelfSensing": "direct_egpi",
     "DirectPreisachSelfSensing": "direct_preisach",
     "PolynomialSelfSensing": "polynomial",

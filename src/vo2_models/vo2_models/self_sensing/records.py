@@ -7,8 +7,8 @@ from vo2_models.parameters import Parameter
 
 __all__ = ["BOUND_KNOTS", "COMPOSITE", "KINDS", "MODE", "PARAMETERS", "SECTION"]
 
-KINDS = ("composite", "egpi", "preisach", "polynomial", "dynamic")
-"""Schemes by name, the recommended one first."""
+KINDS = ("composite", "combined", "egpi", "preisach", "polynomial", "dynamic")
+"""Schemes by name, the default first."""
 SECTION = "model.self_sensing"
 COMPOSITE = f"{SECTION}.composite"
 MODE = f"{SECTION}.mode"

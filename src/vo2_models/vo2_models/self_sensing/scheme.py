@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 
 _CLASSES = {
     "composite": "composite.CompositeSelfSensing",
+    "combined": "combined.CombinedSelfSensing",
     "egpi": "direct_egpi.DirectEGPISelfSensing",
     "preisach": "direct_preisach.DirectPreisachSelfSensing",
     "polynomial": "polynomial.PolynomialSelfSensing",

@@ -29,7 +29,7 @@ NUMBER, TITLE = "7", "Composite self-sensing and PI tracking on it"
 PERIOD_S = preset("integrated").sample_period
 RANGE_M = preset("integrated").deflection_range
 DEVICES = 10
-SCHEMES = ("composite", "preisach", "egpi", "polynomial")
+SCHEMES = ("composite", "combined", "preisach", "egpi", "polynomial")
 
 Floats = NDArray[np.float64]
 
@@ -55,7 +55,13 @@ _PUBLISHED_UM = {
     ("multi", "preisach"): 3.04,
     ("multi", "polynomial"): 4.35,
 }
-_ORDER = (("composite", "preisach"), ("preisach", "polynomial"), ("composite", "polynomial"))
+_ORDER = (
+    ("composite", "preisach"),
+    ("preisach", "polynomial"),
+    ("composite", "polynomial"),
+    ("combined", "composite"),
+    ("combined", "preisach"),
+)
 _LIMIT_PERCENT = {"random": 0.6, "steps": 1.9, "sine": 1.2, "multi": 4.2}
 
 
@@ -146,11 +152,13 @@ def run(context: Context) -> Section:
         for name in SCHEMES
     }
     for kind, limit in _LIMIT_PERCENT.items():
-        values, number = percent[kind, "composite"], _SECTIONS[kind]
-        claims.append(
-            Claim(f"{number}.{kind}_percent", number, f"{_WORDS[kind]}, composite, of range", None, float(values.mean()),
-                  "%", at_most(limit), f"{basis}; 95 % confidence +-{_half(values):.3f}")
-        )  # fmt: skip
+        number = _SECTIONS[kind]
+        for name, identity in (("composite", "percent"), ("combined", "combined_percent")):
+            values = percent[kind, name]
+            claims.append(
+                Claim(f"{number}.{kind}_{identity}", number, f"{_WORDS[kind]}, {name}, of range", None, float(values.mean()),
+                      "%", at_most(limit), f"{basis}; 95 % confidence +-{_half(values):.3f}")
+            )  # fmt: skip
         for better, worse in _ORDER:
             ratio = percent[kind, better] / percent[kind, worse]
             name = "order" if (better, worse) == ("composite", "polynomial") else f"{better}_over_{worse}"
@@ -172,16 +180,16 @@ def run(context: Context) -> Section:
 
     def errors(*axes):
         for axis, kind in zip(axes, ("steps", "sine", "multi"), strict=True):
-            for name, style in zip(SCHEMES, ("-", "-.", ":", "--"), strict=True):
+            for name, style in zip(SCHEMES, ("-", (0, (6, 1)), "-.", ":", "--"), strict=True):
                 trace = found[0].traces[kind, name]
-                axis.plot(np.arange(trace.size) * 10 * PERIOD_S, trace, style, label=f"{kind}, {name}")
+                axis.plot(np.arange(trace.size) * 10 * PERIOD_S, trace, linestyle=style, label=f"{kind}, {name}")
             axis.set_ylabel("error [um]")
         axes[-1].set_xlabel("time [s]")
 
     def comparison(axis):
         for k, name in enumerate(SCHEMES):
             columns = [percent[kind, name] for kind in _SECTIONS]
-            axis.bar(np.arange(4) + 0.2 * (k - 1.5), [c.mean() for c in columns], 0.18,
+            axis.bar(np.arange(4) + 0.16 * (k - 2), [c.mean() for c in columns], 0.14,
                      yerr=[_half(c) for c in columns], capsize=2, label=name)  # fmt: skip
         axis.set_xticks(np.arange(4), list(_SECTIONS))
         axis.set_ylabel("mean error [% of range]")
@@ -189,6 +197,7 @@ def run(context: Context) -> Section:
     bars = draw(f"Mean errors of {DEVICES} devices by scheme, with 95 % confidence of the mean.", comparison)
     figure = draw("Fig. 7.12 to 7.14: tracking errors of the first device.", errors, rows=3, height=2.0)
     remarks = (
+        "Composite is the scheme of section 7.2; combined, ours, is its weighted mean with the direct Preisach estimate.",
         "The PI acts on the self-sensed deflection; errors are of the true one, after the first 5 %. Its gains follow from "
         "each identified model (least simulated tracking error with Ms and Mt at most 1.6), in heating power.",
         *(
