@@ -182,7 +182,9 @@ def run(context: Context) -> Section:
         for axis, kind in zip(axes, ("steps", "sine", "multi"), strict=True):
             for name, style in zip(SCHEMES, ("-", (0, (6, 1)), "-.", ":", "--"), strict=True):
                 trace = found[0].traces[kind, name]
-                axis.plot(np.arange(trace.size) * 10 * PERIOD_S, trace, linestyle=style, label=f"{kind}, {name}")
+                axis.plot(
+                    np.arange(trace.size) * 10 * PERIOD_S, trace, linestyle=style, label=f"{kind}, {name}"
+                )
             axis.set_ylabel("error [um]")
         axes[-1].set_xlabel("time [s]")
 
