@@ -174,6 +174,24 @@ def test_a_light_that_is_always_on_is_told_as_a_constant(parameters) -> None:
     validate(answer.to_dict())
 
 
+def test_a_light_that_goes_on_and_off_is_found_with_its_times(parameters) -> None:
+    light = {"rise": 0.3, "start": 1.1, "stop": 2.9}
+    answer = diagnose([concealed({"laser_heating": light})], parameters)
+    assert [e.id for e in answer.effects] == ["laser_heating"]
+    found = answer.effects[0].parameters
+    assert found["rise"].value == pytest.approx(0.3, rel=0.15)
+    assert found["start"].value == pytest.approx(1.1, abs=0.1)
+    assert found["stop"].value == pytest.approx(2.9, abs=0.1)
+
+
+def test_a_steady_light_beside_a_drift_is_told_with_the_constant_that_hides_it(parameters) -> None:
+    answer = diagnose(
+        [concealed({"ambient_drift": {"rate": 0.3}, "laser_heating": {"rise": 0.5}})], parameters
+    )
+    assert [e.id for e in answer.effects] == ["ambient_drift"]
+    assert any("thermal.ambient" in text and "laser_heating" in text for text in answer.limits)
+
+
 def test_gaps_in_which_the_film_went_elsewhere_name_nothing(parameters) -> None:
     plain = concealed()
     kept = np.ones(len(plain), dtype=bool)

@@ -35,11 +35,12 @@ class Thresholds:
     complete : share of the excess beyond that which names must explain together, else "unknown" is the answer
     complete_rivalled : the same for a single name where another effect alone explains more than...
     dominated : ... this share of what it does: an equation that is a little off has no rival
-    complete_pair : the same for two names: two wrong ones together fit much
+    complete_pair : the same for two names: two wrong ones together fit much...
+    complete_matched : ... unless no other pair with one of the two explains half of what the other adds
     share : least share of a name's gain that must show on held-out blocks, and of the excess that an unnamed
         correction must remove there
     second : a second effect explains at least this share of what the first leaves over...
-    second_of_all : ... and this share of the whole excess
+    second_of_all : ... and this share of the excess of the channels where it acts
     thorough : from this share of what is left over on, the next two do not matter: no wrong equation leaves so little
     alike : ... and its pattern has at most this cosine with the first's: an equation that is a little off leaves
         something like itself
@@ -47,6 +48,10 @@ class Thresholds:
         by this much, or a single channel's by that
     plain : excess below which a residual that nothing predicts on held-out blocks is taken for noise or misfit
     rival : rivals within this difference of q (5 sigma) are not told apart
+    tie : pairs within this share of what the best leaves over are equally good: the one with fewer parameters is named
+    pull : squared move of the thermal parameters, in their standard deviations, from which a recording differs by a
+        constant even if no effect saves a name's gain; the largest of 38 recordings without effect was 429
+    pull_told : the same from which it is told beside a verdict
     temper : how many times more the likelihood ratio must be than white noise would need
     """
 
@@ -58,6 +63,7 @@ class Thresholds:
     complete_rivalled: float = 0.9
     dominated: float = 0.5
     complete_pair: float = 0.95
+    complete_matched: float = 0.8
     share: float = 0.25
     second: float = 0.55
     second_of_all: float = 0.005
@@ -67,6 +73,9 @@ class Thresholds:
     channel_excess: float = 0.4
     plain: float = 0.4
     rival: float = 25.0
+    tie: float = 0.02
+    pull: float = 800.0
+    pull_told: float = 100.0
     temper: float = 8.0
 
     def least(self, hypothesis: Hypothesis) -> float:

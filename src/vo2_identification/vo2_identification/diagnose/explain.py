@@ -330,12 +330,17 @@ def fit_jointly(
     problem = _Joint(evidence, tuple(hypotheses), coordinates, tick)
     shift = evidence.origin.copy()
     q_start = evidence.chi_square(evidence.residual)
-    for round_ in range(3):
-        values, change, q = problem.descend(values, shift, iterations if round_ == 0 else 4)
+    values, change, q = problem.descend(values, shift, iterations)
+    for _ in range(2):
         moved = evidence.absorb(evidence.residual - change)[-shift.size :] if shift.size else shift
         if not shift.size or np.max(np.abs(moved - shift)) < 1.0:
             break
-        shift = moved
+        tangent = problem.tangent
+        trial = problem.descend(values, moved, 4)
+        if trial[2] >= q:  # the base is not linear that far
+            problem.tangent = tangent
+            break
+        (values, change, q), shift = trial, moved
     if not problem.tangent.size:
         problem.linearise(values, change, shift)
     left = evidence.left(problem.tangent)

@@ -206,47 +206,48 @@ def _starts(
         starts.append({n: _clipped(record, n, v) for n, v in values.items()})
     switches = [p for p in record.parameters if p.unit == "s" and abs(_neutral(p)) >= HUGE]
     if len(switches) == 2 and starts:  # on and off again: where the residual asks for it
-        window = _window(evidence, record, signal, starts[0], residual)
-        length = max(part.time_s[-1] - part.time_s[0] for part in evidence.parts)
-        if window:
-            names = [p.name for p in switches]
-            # what was switched leaves a memory: the end is not where the residual ends, so several are tried
-            stops = [float(window[1] + k * length / 20) for k in range(-2, 4)]
-            starts += [
-                {**start, names[0]: window[0], names[1]: stop}
-                for start in list(starts[::2])
-                for stop in stops
-                if window[0] < stop
-            ]
-            scales |= dict.fromkeys(names, float(2e-3 * length))
+        on, off = (p.name for p in switches)
+        windows = _windows(evidence, record, signal, starts[0], (on, off), residual)
+        starts += [{**start, on: a, off: b} for start in list(starts[::2]) for a, b in windows]
+        if windows:
+            length = max(part.time_s[-1] - part.time_s[0] for part in evidence.parts)
+            scales |= dict.fromkeys((on, off), float(2e-3 * length))
     return starts, scales
 
 
-def _window(
-    evidence: Evidence, record: Effect, signal: str, start: Values, residual: Floats
-) -> tuple[float, float] | None:
-    """Time between which the effect, were it linear and immediate, would explain most; None for the whole time.
+def _windows(
+    evidence: Evidence,
+    record: Effect,
+    signal: str,
+    start: Values,
+    names: tuple[str, str],
+    residual: Floats,
+    *,
+    pieces: int = 30,
+    most: int = 3,
+) -> list[tuple[float, float]]:
+    """Times of switching on and off that explain most, best first; none where being on all the time does as well.
 
-    Only for a single recording: times are told from its start.
+    What was switched leaves a memory: the effect of a window is the difference of two effects that stay on, one from the
+    begin and one from the end of it. Only for a single recording: times are told from its start.
     """
     if len(evidence.parts) != 1:
-        return None
-    given: dict[str, float | str] = dict(start)
-    change = evidence.deviation({record.id: {**given, "signal": signal} if signal else given})
+        return []
     part = evidence.parts[0]
-    pieces = min(60, part.size // 20)
-    edges = np.linspace(0, part.size, pieces + 1).astype(int)
-    along, own = np.zeros(pieces), np.zeros(pieces)
-    for row in evidence.rows:
-        along += np.add.reduceat(change[row.where] * residual[row.where], edges[:-1])
-        own += np.add.reduceat(change[row.where] ** 2, edges[:-1])
-    a, b = np.r_[0.0, np.cumsum(along)], np.r_[0.0, np.cumsum(own)]
-    first, last = np.triu_indices(pieces + 1, 2)
-    gain = (a[last] - a[first]) ** 2 / np.maximum(b[last] - b[first], 1e-9)
-    k = int(np.argmax(gain))
-    if gain[k] < 1.1 * a[-1] ** 2 / max(b[-1], 1e-9):
-        return None
-    return float(edges[first[k]] * part.dt), float(edges[last[k]] * part.dt)
+    times = np.linspace(0.0, part.size * part.dt, pieces + 1)[:-1]
+    given: dict[str, float | str] = {**start, **({"signal": signal} if signal else {})}
+    key = f"{record.id}:{signal}" if signal else record.id
+    lasting = np.column_stack(evidence.deviations([{key: {**given, names[0]: float(t)}} for t in times]))
+    gram = np.zeros((pieces + 1, pieces + 1))  # the last is never on
+    gram[:-1, :-1] = lasting.T @ evidence.left(lasting)
+    along = np.append(residual @ lasting, 0.0)
+    begin, end = np.triu_indices(pieces + 1, 2)
+    own = gram[begin, begin] + gram[end, end] - 2.0 * gram[begin, end]
+    gain = (along[begin] - along[end]) ** 2 / np.maximum(own, 1e-9)
+    always = float(gain[(begin == 0) & (end == pieces)][0])
+    edges = np.append(times, HUGE)
+    order = [k for k in np.argsort(-gain)[:most] if gain[k] > 1.1 * always]
+    return [(float(times[begin[k]]), float(edges[end[k]])) for k in order]
 
 
 def _neutral(parameter: Parameter) -> float:

@@ -18,6 +18,7 @@ from vo2_models.excitation import chirp, first_order_reversal_fan, random_levels
 
 from vo2_identification.diagnose.evidence import Evidence, gather
 from vo2_identification.diagnose.explain import Explanation, _distance, _moved
+from vo2_identification.diagnose.hypotheses import Hypothesis
 from vo2_identification.diagnose.nominal import Nominal
 from vo2_identification.diagnose.part import Part
 from vo2_identification.diagnose.result import NextExperiment
@@ -169,12 +170,14 @@ def propose(
     )
 
 
-def by_hand(absorbed: Explanation) -> NextExperiment:
+def by_hand(alike: Sequence[Hypothesis]) -> NextExperiment | None:
     """What to do about effects that act all the time and so cannot be told from a changed constant."""
-    names = [h.record.id for h in absorbed.hypotheses]
-    needs = "; ".join(f"{h.record.id}: {h.record.excitation}" for h in absorbed.hypotheses)
+    if not alike:
+        return None
+    names = [h.record.id for h in alike]
+    needs = "; ".join(f"{h.record.id}: {h.record.excitation}" for h in alike)
     return NextExperiment(
-        why=f"Throughout this recording {' and '.join(names)} may have been at work, or a constant has changed.",
+        why=f"Throughout this recording {' or '.join(names)} may have been at work, or a constant has changed.",
         separates=[names[0], "unknown"],
         kind="manual",
         excitation=None,

@@ -68,7 +68,8 @@ class Study:
     not_excited : ids of effects that these recordings would not show
     rival_pairs : named effect, rival that the recordings do not separate from it
     proposal : what to record next
-    absorbed : an effect that explains no more than a constant change of the base does, which the base has made
+    moved : (t,) how far the base moved its thermal parameters beside what is named, in their standard deviations
+    alike : effects that would look like that move, best first; none where it is small
     """
 
     nominal: Nominal
@@ -90,8 +91,14 @@ class Study:
     not_excited: tuple[str, ...] = ()
     rival_pairs: tuple[tuple[str, str], ...] = ()
     proposal: NextExperiment | None = None
-    absorbed: Explanation | None = None
+    moved: Floats = field(default_factory=lambda: np.zeros(0))
+    alike: tuple[Hypothesis, ...] = ()
     seconds: float = 0.0
+
+    @property
+    def pull(self) -> float:
+        """Squared move of the thermal parameters, in their standard deviations."""
+        return float(self.moved @ self.moved)
 
 
 class _Clock:
@@ -361,7 +368,7 @@ def _explained(base: Study, clock: _Clock) -> Study:
     options = _options(base, singles, candidates, clock)
     clock.say("judging on held-out blocks")
     final, chosen, rivals, remaining = evidence, None, tuple(singles), base.total_excess
-    outside = absorbed = None
+    outside, absorbed = None, False
     for option in options:
         judged = held_out(option.final, option.chosen, reference=evidence, tick=clock.tick)
         shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
@@ -370,8 +377,7 @@ def _explained(base: Study, clock: _Clock) -> Study:
         if sound and shows:
             final, chosen = option.final, option.chosen
             break
-        if sound and len(problems) > 1:
-            absorbed = option.chosen
+        absorbed |= sound and len(problems) > 1
     if chosen is None:
         judged = held_out(evidence, None)
         loud = base.total_excess > limits.excess or max(base.excess.values()) > limits.channel_excess
@@ -379,18 +385,18 @@ def _explained(base: Study, clock: _Clock) -> Study:
             clock.say("shaping what has no name")
             outside = describe_unknown(evidence, left, block_folds(evidence))
         silent = outside is None or (outside.share < limits.share and base.total_excess < limits.plain)
-        if silent and absorbed is not None:
-            return replace(
-                base, differs=True, absorbed=absorbed, scores=tuple(scores), singles=tuple(singles), judged=judged,
-                rivals=rivals, remaining_excess=remaining, not_excited=not_excited,
-                proposal=by_hand(absorbed),
-            )  # fmt: skip
         if silent:
             # more residual than noise at most, and nothing in it that predicts anything
-            return replace(
+            quiet = replace(
                 base, scores=tuple(scores), singles=tuple(singles), judged=judged, remaining_excess=remaining,
-                not_excited=not_excited,
+                not_excited=not_excited, rivals=rivals, moved=_moved(evidence, evidence.residual),
             )  # fmt: skip
+            alike = _alike(scores, singles)
+            if not absorbed and quiet.pull <= limits.pull:
+                return replace(quiet, alike=alike)
+            acting = evidence.base.thermal @ quiet.moved
+            where = breakdown(evidence, acting, floor=0.0)
+            return replace(quiet, differs=True, alike=alike, proposal=by_hand(alike), breakdown=tuple(where))
     # where it is: where a named effect acts, else where more than noise is left
     acting = evidence.left(evidence.residual) if chosen is None else trace(final)
     where = breakdown(final, acting, floor=0.0 if chosen else 1.0)
@@ -400,7 +406,7 @@ def _explained(base: Study, clock: _Clock) -> Study:
         clock.say("designing the next experiment")
         rival = next(r for r in rivals if pairs[0][1] in (h.record.id for h in r.hypotheses))
         proposal = propose(evidence, base.nominal, chosen, rival, names=pairs[0], say=clock.say)
-    return replace(
+    told = replace(
         base,
         differs=True,
         rival_pairs=tuple(pairs),
@@ -416,6 +422,30 @@ def _explained(base: Study, clock: _Clock) -> Study:
         breakdown=tuple(where),
         not_excited=not_excited,
     )
+    if chosen is None:
+        return told
+    residual = final.residual - chosen.deviation
+    told = replace(told, moved=_moved(final, residual))
+    if told.pull <= limits.pull_told:
+        return told
+    others = [h for h in candidates if h.key not in chosen.keys]
+    return replace(told, alike=_alike(score(final, others, residual, tick=clock.tick)))
+
+
+def _moved(evidence: Evidence, residual: Floats) -> Floats:
+    """How far the base moves its thermal parameters for a residual, in their standard deviations."""
+    count = len(evidence.names)
+    return evidence.absorb(residual)[-count:] if count else np.zeros(0)
+
+
+def _alike(scores: Sequence[Score], singles: Sequence[Explanation] = ()) -> tuple[Hypothesis, ...]:
+    """Effects that save at least half as much of a move of the base as the best of them does, best first."""
+    gains: dict[str, tuple[float, Hypothesis]] = {}
+    found = [(s.gain, s.hypothesis) for s in scores] + [(e.gain, e.hypotheses[0]) for e in singles]
+    for gain, hypothesis in sorted(found, key=lambda item: -item[0]):
+        gains.setdefault(hypothesis.record.id, (gain, hypothesis))
+    best = max((gain for gain, _ in gains.values()), default=0.0)
+    return tuple(h for gain, h in gains.values() if gain > max(0.5 * best, FAINT))[:4]
 
 
 def _options(
@@ -430,9 +460,19 @@ def _options(
     alone = option_of(base.nominal, evidence, first, singles, tick=clock.tick)
     clock.say("looking for a second effect")
     pair = pair_of(base.nominal, evidence, alone, candidates, limits, tick=clock.tick)
-    if pair and _complete(pair.chosen, pair.remaining, evidence, limits) >= limits.complete_pair:
-        return [pair, alone]
+    if pair:
+        needed = limits.complete_matched if _matched(pair, alone, limits) else limits.complete_pair
+        if _complete(pair.chosen, pair.remaining, evidence, limits) >= needed:
+            return [pair, alone]
     return [alone]
+
+
+def _matched(pair: Option, alone: Option, limits: Thresholds) -> bool:
+    """Whether no other partner of one of the two comes near what the other adds."""
+    before = alone.chosen.chi_square
+    best = min(r.chi_square for r in pair.rivals if set(r.keys) == set(pair.chosen.keys))
+    others = [r.chi_square for r in pair.rivals if set(r.keys) != set(pair.chosen.keys)]
+    return before - min(others, default=before) < limits.dominated * (before - best)
 
 
 def _sound(

@@ -158,15 +158,14 @@ def pair_of(
         one = fit_jointly(evidence, [best.hypotheses[k]], [best.values[k]], iterations=BRIEF, tick=tick)
         there, kept = _about(nominal, evidence, one, tick)
         found += [(there, joint) for joint in _joined(there, kept, candidates, limits, tick)]
-    found.sort(key=lambda item: item[1].chi_square)
-    where, best = found[0]
+    where, best = _simplest(found, limits)
     drop, leftover = before - best.chi_square, before - about.count
     least = min(limits.least(h) for h in best.hypotheses)
     if drop < max(least, limits.second * leftover):
         return None
-    excess = evidence.chi_square(evidence.residual) - evidence.count
     thorough = leftover > limits.gain and drop > limits.thorough * leftover
-    if not thorough and (drop < limits.second_of_all * excess or _alike(where, best) > limits.alike):
+    small = drop < limits.second_of_all * _excess_there(evidence, where, best)
+    if not thorough and (small or _alike(where, best) > limits.alike):
         return None
     rivals = {frozenset(joint.keys): joint for _, joint in reversed(found)}
     ranked = sorted(rivals.values(), key=lambda e: e.chi_square)
@@ -197,6 +196,29 @@ def _joined(
         if not joint.at_bound:
             joints.append(joint)
     return sorted(joints, key=lambda e: e.chi_square)
+
+
+def _simplest(
+    found: Sequence[tuple[Evidence, Explanation]], limits: Thresholds
+) -> tuple[Evidence, Explanation]:
+    """The pair with the fewest parameters of those that fit as well as the best, within what no pair explains."""
+    lowest = min(joint.chi_square for _, joint in found)
+    close = lowest + limits.rival + limits.tie * max(lowest - found[0][0].count, 0.0)
+    near = [(about, joint) for about, joint in found if joint.chi_square <= close]
+    return min(near, key=lambda item: (len(item[1].coordinates), item[1].chi_square))
+
+
+def _excess_there(evidence: Evidence, about: Evidence, joint: Explanation) -> float:
+    """Excess energy where the last effect acts: that of each channel, by its share of what the effect does."""
+    left = evidence.left(evidence.residual)
+    new = about.deviation(joint.hypotheses[-1].effects(joint.values[-1]))
+    total = max(float(new @ new), 1e-300)
+    found = 0.0
+    for channel in dict.fromkeys(row.channel for row in evidence.rows):
+        own = evidence.rows_of(channel)
+        excess = float(evidence.residual[own] @ left[own]) - np.count_nonzero(evidence.weight[own])
+        found += max(excess, 0.0) * float(new[own] @ new[own]) / total
+    return found
 
 
 def _least(one: Score, scores: Sequence[Score], limits: Thresholds) -> float:

@@ -12,7 +12,7 @@ from vo2_identification.diagnose.check import limits_in_words
 from vo2_identification.diagnose.decide import probabilities
 from vo2_identification.diagnose.explain import Explanation
 from vo2_identification.diagnose.locate import locate
-from vo2_identification.diagnose.nominal import JUDGED_UNIT, MOVED
+from vo2_identification.diagnose.nominal import JUDGED_UNIT
 from vo2_identification.diagnose.result import (
     Candidate,
     ChannelFit,
@@ -41,10 +41,16 @@ so that with it about nine of ten 90 % intervals of each stage hold the truth on
 of seeds that no published figure comes from.
 """
 
+TOLD = 2.0
+"""Move of a constant, in standard deviations, that is told where constants have changed."""
+
 
 def assemble(study: Study) -> Diagnosis:
     """Return the diagnosis that a study supports."""
     fit = _fit(study)
+    limits = [*limits_in_words(study.findings), *_by_recording(study)]
+    if study.pull > study.thresholds.pull_told:
+        limits.append(_constant(study))
     if not study.differs:
         return Diagnosis(
             verdict="agrees",
@@ -55,16 +61,13 @@ def assemble(study: Study) -> Diagnosis:
             indistinguishable=[],
             next_experiment=None,
             summary=_agrees_summary(study),
-            limits=[*limits_in_words(study.findings), *_by_recording(study)],
+            limits=limits,
             excess=_excess(study),
             seconds=study.seconds,
         )
     candidates, probability = _candidates(study)
     effects = _named(study, probability)
     pairs = [list(pair) for pair in study.rival_pairs]
-    limits = [*limits_in_words(study.findings), *_by_recording(study)]
-    if study.absorbed is not None:
-        limits = [*limits, _constant(study)]
     return Diagnosis(
         verdict="differs",
         location=locate(study.final, study.breakdown),
@@ -158,18 +161,20 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
 
 
 def _constant(study: Study) -> str:
-    """What the base had to change, and which effect would do the same."""
+    """What the base had to change, and which effects would do the same."""
     evidence = study.evidence
-    names = " and ".join(study.absorbed.keys)  # type: ignore[union-attr]
     moved = [
         f"{name} by {shift * spread:+.3g} ({abs(shift):.0f} standard deviations of the calibration)"
-        for name, shift, spread in zip(evidence.names, evidence.origin, evidence.spreads, strict=True)
-        if abs(shift) > MOVED
+        for name, shift, spread in zip(evidence.names, study.moved, evidence.spreads, strict=True)
+        if abs(shift) >= TOLD
     ]
-    return (
-        f"this recording asks for another {', '.join(moved)}; {names} acting all the time would look the same and "
-        "cannot be told from that change"
-    )
+    text = f"this recording asks for another {', '.join(moved)}"
+    if not study.differs:
+        text += "; unchanged devices whose loops are of another family ask for as much"
+    if study.alike:
+        names = " or ".join(h.record.id for h in study.alike)
+        text += f"; {names} acting all the time would look much the same"
+    return text
 
 
 def _explained_share(study: Study) -> float:
@@ -225,7 +230,7 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
 
 def _unknown(study: Study) -> NamedEffect:
     outside = study.outside
-    if study.absorbed is not None:
+    if study.outside is None and study.moved.size:
         return NamedEffect("unknown", 0.5, f"A constant has changed: {_constant(study)}.", "constant", {})
     shapes = outside.shapes if outside is not None else ()
     if shapes:
@@ -288,7 +293,7 @@ def _agrees_summary(study: Study) -> str:
 def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -> str:
     where = max(study.excess, key=lambda c: study.excess[c])
     head = f"Simulation and recording differ, most in {where} ({1 + study.excess[where]:.3g} times the noise power)."
-    if study.absorbed is not None:
+    if study.chosen is None and study.moved.size:
         return f"Simulation and recording differ by a constant: {_constant(study)}."
     names = [e.id + (f" on {e.signal}" if e.signal else "") for e in effects if e.id != "unknown"]
     if not names:
