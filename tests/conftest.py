@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,10 @@ from vo2_models.excitation import damped_oscillation
 from vo2_models.model_file import save_model_parameters
 from vo2_models.self_sensing import identify
 from vo2_plant_sim.testing import free_domain
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # a shell without job control starts background jobs deaf to Ctrl-C, and the nodes would inherit it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
