@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from vo2_identification.bags import write_bag
 from vo2_identification.bags.playback import outline, schedule
 from vo2_models.recording import Recording
-from vo2_plant_sim.interface.topics import LATCHED_QOS, SAMPLE_QOS
+from vo2_plant_sim.interface.topics import LATCHED_QOS, READ_QOS
 
 from vo2_identification import replay
 
@@ -39,7 +39,7 @@ def recording_of(n, period_s=0.001):
 
 def test_every_message_arrives_unchanged_in_rhythm(graph, tmp_path):
     bag = write_bag(tmp_path / "bag", recording_of(1000), storage="sqlite3")
-    heard = graph.collect(JointState, "/vo2/measurement", SAMPLE_QOS)
+    heard = graph.collect(JointState, "/vo2/measurement", READ_QOS)
     with running(REPLAY, bag, "--rate", 0.5, "--wait", 10) as process:
         graph.spin_until(lambda: len(heard) >= 1, "the first message")
         began = time.monotonic()
@@ -57,7 +57,7 @@ def test_every_message_arrives_unchanged_in_rhythm(graph, tmp_path):
 
 def test_a_loop_moves_stamps_on_and_says_so(graph, tmp_path):
     bag = write_bag(tmp_path / "bag", recording_of(50, period_s=0.002))
-    heard = graph.collect(JointState, "/vo2/measurement", SAMPLE_QOS)
+    heard = graph.collect(JointState, "/vo2/measurement", READ_QOS)
     with running(REPLAY, bag, "--loop", 3, "--wait", 10) as process:
         graph.spin_until(lambda: len(heard) >= 150, "three passes")
         out, err = process.communicate(timeout=PATIENCE_S)
@@ -70,9 +70,9 @@ def test_a_loop_moves_stamps_on_and_says_so(graph, tmp_path):
 def test_offset_duration_topics_and_clock(graph, tmp_path):
     loop = {"measurement": recording_of(100, 0.01), "estimate": recording_of(100, 0.01)}
     bag = write_bag(tmp_path / "bag", loop)
-    clocks = graph.collect(Clock, "/clock", SAMPLE_QOS)
-    measured = graph.collect(JointState, "/vo2/measurement", SAMPLE_QOS)
-    estimated = graph.collect(JointState, "/vo2/estimate", SAMPLE_QOS)
+    clocks = graph.collect(Clock, "/clock", READ_QOS)
+    measured = graph.collect(JointState, "/vo2/measurement", READ_QOS)
+    estimated = graph.collect(JointState, "/vo2/estimate", READ_QOS)
     part = ("--offset", 0.5, "--duration", 0.3, "--rate", 0.3, "--topics", "/vo2/measurement", "--clock", 200)
     with running(REPLAY, bag, *part, "--wait", 10) as process:
         graph.spin_until(lambda: len(measured) >= 30, "the messages")
@@ -90,7 +90,7 @@ def test_offset_duration_topics_and_clock(graph, tmp_path):
 
 def test_a_late_subscriber_gets_the_reference_from_before_the_offset(graph, tmp_path):
     bag = write_bag(tmp_path / "bag", {"measurement": recording_of(100, 0.01), "reference": recording_of(1)})
-    measured = graph.collect(JointState, "/vo2/measurement", SAMPLE_QOS)
+    measured = graph.collect(JointState, "/vo2/measurement", READ_QOS)
     with running(REPLAY, bag, "--offset", 0.5, "--wait", 1, "--loop") as process:
         graph.spin_until(lambda: len(measured) >= 1, "the first message")
         late = graph.collect(JointState, "/vo2/reference", LATCHED_QOS)
@@ -104,7 +104,7 @@ def test_a_late_subscriber_gets_the_reference_from_before_the_offset(graph, tmp_
 
 def test_ctrl_c_ends_it_with_a_word(graph, tmp_path):
     bag = write_bag(tmp_path / "bag", recording_of(10, period_s=0.05))
-    heard = graph.collect(JointState, "/vo2/measurement", SAMPLE_QOS)
+    heard = graph.collect(JointState, "/vo2/measurement", READ_QOS)
     with running(REPLAY, bag, "--loop", "--wait", 10) as process:
         graph.spin_until(lambda: len(heard) > 12, "a second pass")
         process.send_signal(signal.SIGINT)
@@ -117,7 +117,7 @@ def test_a_damaged_bag_is_played_as_far_as_it_goes(graph, tmp_path):
     bag = bag_by_rosbags(tmp_path / "bag", measurements(400), chunk=100)
     (file,) = bag.glob("*.mcap")
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    heard = graph.collect(JointState, "/vo2/measurement", SAMPLE_QOS)
+    heard = graph.collect(JointState, "/vo2/measurement", READ_QOS)
     with running(REPLAY, bag, "--wait", 10) as process:
         graph.spin_until(lambda: process.poll() is not None, "the end")
         out, err = process.communicate(timeout=PATIENCE_S)
