@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +13,9 @@ from vo2_models.device import truth
 from vo2_models.excitation import damped_oscillation
 from vo2_models.model_file import save_model_parameters
 from vo2_models.self_sensing import identify
-from vo2_plant_sim.testing import free_domain
+from vo2_plant_sim.testing import free_domain, hear_ctrl_c
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # a shell without job control starts background jobs deaf to Ctrl-C, and the nodes would inherit it
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+hear_ctrl_c()
 
 
 @pytest.fixture

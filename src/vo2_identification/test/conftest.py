@@ -1,7 +1,5 @@
 """What all tests of this package need."""
 
-import signal
+from vo2_plant_sim.testing import hear_ctrl_c
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # a shell without job control starts background jobs deaf to Ctrl-C, and the commands under test would inherit it
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+hear_ctrl_c()

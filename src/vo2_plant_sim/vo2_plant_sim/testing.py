@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,7 +22,7 @@ from vo2_plant_sim.interface.one_host import one_host_environment
 from vo2_plant_sim.interface.samples import SampleReader, SampleWriter
 from vo2_plant_sim.interface.topics import DIAGNOSTICS, LATCHED_QOS, READ_QOS, REFERENCE, SAMPLE_QOS
 
-__all__ = ["Bench", "bench", "free_domain"]
+__all__ = ["Bench", "bench", "free_domain", "hear_ctrl_c"]
 
 _DOMAINS = itertools.count(os.getpid())
 _TIMEOUT_S = 20.0
@@ -30,6 +31,15 @@ _TIMEOUT_S = 20.0
 def free_domain() -> int:
     """Return a ROS domain that no other test of this process has had, and hardly one of another process."""
     return 1 + next(_DOMAINS) * 37 % 100
+
+
+def hear_ctrl_c() -> None:
+    """Take Ctrl-C again where the runner was started deaf to it, as a shell without job control starts what runs behind.
+
+    The processes that tests start inherit it: without this they would not hear the Ctrl-C that they are tested with.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class Bench:

@@ -171,7 +171,7 @@ def propose(
 
 
 def by_hand(alike: Sequence[Hypothesis]) -> NextExperiment | None:
-    """What to do about effects that act all the time and so cannot be told from a changed constant."""
+    """What to do about effects that act all the time and so cannot be told from a changed constant; None for none."""
     if not alike:
         return None
     names = [h.record.id for h in alike]

@@ -389,9 +389,9 @@ def _explained(base: Study, clock: _Clock) -> Study:
             # more residual than noise at most, and nothing in it that predicts anything
             quiet = replace(
                 base, scores=tuple(scores), singles=tuple(singles), judged=judged, remaining_excess=remaining,
-                not_excited=not_excited, rivals=rivals, moved=_moved(evidence, evidence.residual),
+                not_excited=not_excited, rivals=rivals, moved=_thermal_move(evidence, evidence.residual),
             )  # fmt: skip
-            alike = _alike(scores, singles)
+            alike = _like_a_constant(scores, singles)
             if not absorbed and quiet.pull <= limits.pull:
                 return replace(quiet, alike=alike)
             acting = evidence.base.thermal @ quiet.moved
@@ -425,20 +425,20 @@ def _explained(base: Study, clock: _Clock) -> Study:
     if chosen is None:
         return told
     residual = final.residual - chosen.deviation
-    told = replace(told, moved=_moved(final, residual))
+    told = replace(told, moved=_thermal_move(final, residual))
     if told.pull <= limits.pull_told:
         return told
     others = [h for h in candidates if h.key not in chosen.keys]
-    return replace(told, alike=_alike(score(final, others, residual, tick=clock.tick)))
+    return replace(told, alike=_like_a_constant(score(final, others, residual, tick=clock.tick)))
 
 
-def _moved(evidence: Evidence, residual: Floats) -> Floats:
+def _thermal_move(evidence: Evidence, residual: Floats) -> Floats:
     """How far the base moves its thermal parameters for a residual, in their standard deviations."""
     count = len(evidence.names)
     return evidence.absorb(residual)[-count:] if count else np.zeros(0)
 
 
-def _alike(scores: Sequence[Score], singles: Sequence[Explanation] = ()) -> tuple[Hypothesis, ...]:
+def _like_a_constant(scores: Sequence[Score], singles: Sequence[Explanation] = ()) -> tuple[Hypothesis, ...]:
     """Effects that save at least half as much of a move of the base as the best of them does, best first."""
     gains: dict[str, tuple[float, Hypothesis]] = {}
     found = [(s.gain, s.hypothesis) for s in scores] + [(e.gain, e.hypotheses[0]) for e in singles]

@@ -58,7 +58,10 @@ def trace(final: Evidence) -> Floats:
 
 
 def bend(option: Option) -> float:
-    """Largest drop of q from letting an effect that is straight in time bend (to the third power of time)."""
+    """Largest drop of q from letting an effect that is straight in time bend: its change times 1, t and t^2, t the time.
+
+    0 where no effect of the explanation is straight.
+    """
     final, chosen = option.final, option.chosen
     residual = final.residual - chosen.deviation
     rest = final.left(residual)
@@ -158,6 +161,7 @@ def pair_of(
         one = fit_jointly(evidence, [best.hypotheses[k]], [best.values[k]], iterations=BRIEF, tick=tick)
         there, kept = _about(nominal, evidence, one, tick)
         found += [(there, joint) for joint in _joined(there, kept, candidates, limits, tick)]
+    found.sort(key=lambda item: item[1].chi_square)
     where, best = _simplest(found, limits)
     drop, leftover = before - best.chi_square, before - about.count
     least = min(limits.least(h) for h in best.hypotheses)
@@ -201,8 +205,8 @@ def _joined(
 def _simplest(
     found: Sequence[tuple[Evidence, Explanation]], limits: Thresholds
 ) -> tuple[Evidence, Explanation]:
-    """The pair with the fewest parameters of those that fit as well as the best, within what no pair explains."""
-    lowest = min(joint.chi_square for _, joint in found)
+    """The pair with the fewest parameters of those that fit as well as the first, within what no pair explains."""
+    lowest = found[0][1].chi_square
     close = lowest + limits.rival + limits.tie * max(lowest - found[0][0].count, 0.0)
     near = [(about, joint) for about, joint in found if joint.chi_square <= close]
     return min(near, key=lambda item: (len(item[1].coordinates), item[1].chi_square))

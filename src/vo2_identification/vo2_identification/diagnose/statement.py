@@ -170,7 +170,7 @@ def _constant(study: Study) -> str:
     ]
     text = f"this recording asks for another {', '.join(moved)}"
     if not study.differs:
-        text += "; unchanged devices whose loops are of another family ask for as much"
+        text += "; too little to tell from an unchanged device whose loops are of another family"
     if study.alike:
         names = " or ".join(h.record.id for h in study.alike)
         text += f"; {names} acting all the time would look much the same"
