@@ -11,6 +11,7 @@ from vo2_identification.challenge.excitation import (
     calibration_current,
     informative_current,
     played_current,
+    triangle_current,
 )
 from vo2_models.recording import (
     COMMANDED_CURRENT,
@@ -129,6 +130,26 @@ def test_excitation_visits_what_it_should(name):
     assert start
     calibration = calibration_current(np.random.default_rng(0), preset)
     assert 5000 < calibration.size < 20000
+
+
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_triangle_is_equal_slow_major_loops(name):
+    preset = PRESETS[name]
+    current = triangle_current(np.random.default_rng(0), preset)
+    assert current.size == TEST_SAMPLES
+    cold, hot = sorted(float(preset.steady_temperature(i)) for i in preset.operating)
+    temperature = preset.steady_temperature(current[300:])
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(temperature))) != 0)
+    assert turns.size >= 6
+    # every turn of the loops at an end of the range, none within; the rest after them needs no lead of the current
+    span = temperature.max() - temperature.min()
+    assert span > 0.5 * (hot - cold)
+    at_turns = temperature[turns[:6] + 1]
+    assert np.all(np.minimum(at_turns - temperature.min(), temperature.max() - at_turns) < 0.05 * span)
+    plan = plan_case(5, 0, only_effects=["creep"], device=name)
+    case, other = draw_case(5, plan, excitation="triangle"), draw_case(5, plan)
+    assert np.array_equal(case.calibration[RESISTANCE], other.calibration[RESISTANCE])
+    assert not np.array_equal(case.test[COMMANDED_CURRENT][1:], other.test[COMMANDED_CURRENT][1:])
 
 
 def test_follow_up_repeats_device_and_effect():

@@ -130,6 +130,17 @@ def test_excitation_is_scored_after_the_experiment():
     assert judged("one", [effect("creep")], first).after_experiment is None
 
 
+def test_what_is_told_where_the_recording_does_not_separate():
+    creep = [effect("creep")]
+    assert judged("one", creep, diagnosis("creep")).told
+    assert judged("one", creep, diagnosis("dead_time", indistinguishable=[["dead_time", "creep"]])).told
+    assert judged("one", creep, diagnosis(not_excited=["creep"])).told
+    assert judged("one", creep, diagnosis("dead_time")).told is False
+    # a candidate is not told to be inseparable, and silence tells nothing
+    assert judged("one", creep, diagnosis()).told is False
+    assert judged("none", [], diagnosis()).told is None
+
+
 def test_two_effects():
     truth = [effect("creep"), effect("dead_time")]
     both = judged("two", truth, diagnosis("dead_time", "creep"))

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from vo2_identification.challenge.domains import FAMILIES
 from vo2_identification.challenge.draw import KINDS, CasePlan, plan_case
+from vo2_identification.challenge.excitation import EXCITATIONS
 from vo2_identification.challenge.runner import CaseRunner, Paths, Settings, finished, load_json, save_json
 
 __all__ = ["main"]
@@ -41,6 +42,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--device", help="one preset only")
     parser.add_argument("--misfit", type=float, default=0.1, help="scatter of the concealed hysteresis")
     parser.add_argument("--family", default="plays", help=f"concealed hysteresis: {' or '.join(FAMILIES)}")
+    parser.add_argument(
+        "--excitation",
+        choices=list(EXCITATIONS),
+        default="informative",
+        help="what is recorded; on a slow major triangle many effects look alike",
+    )
     parser.add_argument(
         "--timeout", type=float, default=300.0, help="seconds for each fit and each diagnosis"
     )
@@ -92,6 +99,7 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
         arguments.device,
         _words(arguments.only_effects),
         _words(arguments.kinds),
+        arguments.excitation,
     )
     try:
         if arguments.cases < 1 or arguments.jobs < 1 or arguments.seed < 0:
@@ -158,12 +166,11 @@ def _claim(paths: Paths, settings: Settings) -> None:
 
 def _write_bags(plans: Sequence[CasePlan], paths: Paths, settings: Settings) -> int:
     from vo2_identification.bags import write_bag
-    from vo2_identification.challenge.draw import draw_case
 
     for plan in plans:
         if paths.answer(plan.index).exists() and (paths.case(plan.index) / "test" / "metadata.yaml").exists():
             continue
-        case = draw_case(settings.seed, plan, misfit=settings.misfit, family=settings.family)
+        case = settings.case(plan)
         folder = paths.case(plan.index)
         folder.mkdir(parents=True, exist_ok=True)
         write_bag(folder / "calibration", case.calibration)

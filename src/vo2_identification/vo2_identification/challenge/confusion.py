@@ -33,6 +33,7 @@ SHOWN = (
     ("branch", "right branch", 0.90, "least"),
     ("frequency", "resonance within 5 %", 0.90, "least"),
     ("signal", "right sensor named", None, ""),
+    ("told", "named, or told inseparable, not excited", None, ""),
     ("after_experiment_top1", "right after proposed experiment", 0.85, "least"),
     ("seconds", "seconds a diagnosis, median", 20.0, "most"),
 )

@@ -18,7 +18,7 @@ from vo2_identification.challenge.catalogue import CATALOGUE, OUTSIDE, draw_effe
 from vo2_identification.challenge.devices import PRESETS, Device, draw_device
 from vo2_identification.challenge.effect import ConcealedEffect, Context, Drawn
 from vo2_identification.challenge.excess import branch_of, excess_by_channel
-from vo2_identification.challenge.excitation import TEST_SAMPLES, calibration_current, informative_current
+from vo2_identification.challenge.excitation import EXCITATIONS, TEST_SAMPLES, calibration_current
 from vo2_identification.challenge.rig import Noise, Plan, Truth, draw_rig_noise, log_channels, simulate
 
 __all__ = ["KINDS", "Case", "CasePlan", "draw_case", "follow_up_recording", "plan_case"]
@@ -137,14 +137,21 @@ def _case_parts(
     return rng, device, noise, shunt
 
 
-def draw_case(seed: int, plan: CasePlan, *, misfit: float = 0.1, family: str = "plays") -> Case:
-    """Draw the case of `plan`: same seed, plan, misfit and family, same recordings bit for bit."""
+def draw_case(
+    seed: int,
+    plan: CasePlan,
+    *,
+    misfit: float = 0.1,
+    family: str = "plays",
+    excitation: str = "informative",
+) -> Case:
+    """Draw the case of `plan`: same arguments, same recordings bit for bit. `excitation` is one of `EXCITATIONS`."""
     rng, device, noise, shunt = _case_parts(seed, plan, misfit, family)
     preset = device.preset
     calibration = _record(
         device, simulate(device, calibration_current(rng, preset), Plan()), Plan(), noise, rng, shunt
     )
-    command = informative_current(rng, preset)
+    command = EXCITATIONS[excitation](rng, preset)
     clean = simulate(device, command, Plan())
     context = Context(rng, device, command.size * preset.sample_period)
     drawn, each = [], []

@@ -1,6 +1,6 @@
-"""What the rig plays: a calibration (damped oscillation and a little dynamics) and the informative test recording.
+"""What the rig plays: a calibration (damped oscillation and a little dynamics) and the recording to be diagnosed.
 
-Both are sequences of commanded currents, one per sample, drawn anew for every case within the operating range.
+They are sequences of commanded currents, one per sample, drawn anew for every case within the operating range.
 Levels are chosen as nominal steady temperatures, so that both presets share one design; the slow Peltier stage is
 led along its profile by the inverse of its nominal first-order lag.
 """
@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from vo2_identification.challenge.devices import Preset
 
-__all__ = ["TEST_SAMPLES", "calibration_current", "informative_current", "played_current"]
+__all__ = [
+    "EXCITATIONS",
+    "TEST_SAMPLES",
+    "calibration_current",
+    "informative_current",
+    "played_current",
+    "triangle_current",
+]
 
 Array = NDArray[np.floating]
 TEST_SAMPLES = 10_000
@@ -176,6 +183,28 @@ def informative_current(rng: np.random.Generator, preset: Preset, samples: int =
     if head.size < room:
         head = np.concatenate([head, np.full(room - head.size, head[-1])])
     return np.concatenate([head[:room], tail])
+
+
+def triangle_current(rng: np.random.Generator, preset: Preset, samples: int = TEST_SAMPLES) -> Array:
+    """Return commanded currents [A] (samples,) of equal slow major loops and nothing else.
+
+    The easiest recording to make, and the one that tells least: on it effects that act at one rate, on one loop or on
+    one part of the loop only look alike.
+    """
+    profile = _Profile(preset, preset.ambient)
+    low, high = profile.ends
+    profile.pieces.append(np.zeros(60))
+    profile.ramp(low, 80 if profile.quick else 160)
+    stretch = int(rng.integers(1100, 1300))
+    for _ in range((samples - 220) // (2 * stretch)):
+        profile.ramp(high, stretch)
+        profile.ramp(low, stretch)
+    profile.hold(samples)
+    return profile.current()[:samples]
+
+
+EXCITATIONS = {"informative": informative_current, "triangle": triangle_current}
+"""What the recording to be diagnosed may be."""
 
 
 def played_current(excitation: Mapping[str, Any], preset: Preset) -> Array:

@@ -65,6 +65,7 @@ class Judgement:
     unknown : outside the catalogue: "unknown" first and no catalogue name
     removed : share of excess residual removed on held-out data
     channel, branch, frequency, signal : location right; right sensor named
+    told : right name first, or told to be inseparable from another or not excited (one effect)
     parameters : comparison of the parameters where the effect was named
     experiment : kind of next experiment that separates the truth from an indistinguishable rival, or ""
     after_experiment : right name first after that experiment
@@ -90,6 +91,7 @@ class Judgement:
     branch: bool | None = None
     frequency: bool | None = None
     signal: bool | None = None
+    told: bool | None = None
     parameters: Comparison | None = None
     experiment: str = ""
     after_experiment: bool | None = None
@@ -195,7 +197,7 @@ def judge(answer: Mapping, result: Mapping) -> Judgement:
     if diagnosis is None:
         wrong: dict = {}
         if kind == "one":
-            wrong = {"top1": False, "top3": False, "channel": False}
+            wrong = {"top1": False, "top3": False, "channel": False, "told": False}
         elif kind == "two":
             wrong = {"both": False, "either": False, "extra": False}
         elif kind == "outside":
@@ -240,6 +242,7 @@ def _judge_one(effect: Mapping, diagnosis: Mapping) -> dict:
         "limit": limit and not first,
         "removed": excess_removed(diagnosis),
         "channel": top is not None and top["signal"] in effect["channels"],
+        "told": first or limit or name in _paired(diagnosis) or name in diagnosis.get("not_excited", ()),
         "experiment": "",
     }
     if effect["branch"] != "both":

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from vo2_identification.challenge.draw import CasePlan, draw_case, follow_up_recording
+from vo2_identification.challenge.draw import Case, CasePlan, draw_case, follow_up_recording
 
 __all__ = ["CaseRunner", "Paths", "Settings", "finished", "load_json", "save_json"]
 
@@ -41,6 +41,11 @@ class Settings:
     device: str | None = None
     only_effects: tuple[str, ...] = ()
     kinds: tuple[str, ...] = ()
+    excitation: str = "informative"
+
+    def case(self, plan: CasePlan) -> Case:
+        """Draw the case of `plan`."""
+        return draw_case(self.seed, plan, misfit=self.misfit, family=self.family, excitation=self.excitation)
 
 
 @dataclass(frozen=True)
@@ -118,7 +123,7 @@ class CaseRunner:
         folder = paths.case(index)
         shutil.rmtree(folder, ignore_errors=True)  # an interrupted try
         folder.mkdir(parents=True)
-        case = draw_case(self.settings.seed, plan, misfit=self.settings.misfit, family=self.settings.family)
+        case = self.settings.case(plan)
         save_json(paths.answer(index), case.answer)
         write_bag(folder / "calibration", case.calibration)
         write_bag(folder / "test", case.test)

@@ -58,6 +58,8 @@ def score(judgements: Sequence[Judgement]) -> dict[str, Any]:
     channel : one effect or outside: the channel of the largest share of excess carries at least a fifth of the
         true excess (or is the shunt current of a driver effect)
     branch : the same entry's branch, where at least four times as much true excess lies on one branch
+    told : one effect: right name first, or told to be inseparable from another or not excited by the recording
+    after_experiment_top1 : one effect told to be inseparable, an excitation proposed: right name first with both recordings
     seconds : median wall time of a diagnosis
     per_effect : id -> top1, top3, count, and by device
 
@@ -97,6 +99,7 @@ def score(judgements: Sequence[Judgement]) -> dict[str, Any]:
     result["seconds_max"] = max(seconds, default=None)
     result["limit_stated"] = sum(j.limit for j in one)
     put("excitation_proposed", (j.experiment == "excitation" for j in one))
+    put("told", (j.told for j in one))
     put("after_experiment_top1", (j.after_experiment for j in one))
     weak = [j for j in of["one"] if not j.counted]
     result["weak"] = {
