@@ -82,6 +82,8 @@ def test_absorbed_by_a_constant_counts_if_stated():
     assert found.top1 and found.top3 and found.limit
     assert judged("one", [laser], diagnosis("ambient_drift", not_excited=["laser_heating"])).top1
     assert judged("one", [laser], diagnosis("unknown", limits=["a steady laser_heating looks the same"])).top1
+    # the matrix shows what counted: the limit, not the name beside it
+    assert found.first == LIMIT
     unnamed = diagnosis(verdict="differs", not_excited=["laser_heating"])
     assert judged("one", [laser], unnamed).first == LIMIT
     # to agree is to have overlooked it, whatever the list of what is not excited says

@@ -182,6 +182,13 @@ def test_command_scores_and_continues(runner, monkeypatch, tmp_path, capsys):
     other[3] = "4"
     assert command.main(other) == 2
     assert "another seed" in capsys.readouterr().err
+    # settings that are younger than the folder have their defaults there
+    settings = load_json(folder / "settings.json")
+    del settings["excitation"], settings["kinds"]
+    (folder / "settings.json").write_text(json.dumps(settings))
+    assert command.main(longer) == 0
+    assert command.main([*longer, "--excitation", "triangle"]) == 2
+    assert "another excitation" in capsys.readouterr().err
 
 
 def test_failed_cases_are_tried_again_on_request(runner, monkeypatch, tmp_path):

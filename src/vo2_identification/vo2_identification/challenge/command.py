@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 
 from vo2_identification.challenge.domains import FAMILIES
@@ -154,7 +154,9 @@ def _claim(paths: Paths, settings: Settings) -> None:
     wanted = {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(settings).items()}
     file = paths.root / "settings.json"
     if file.exists():
-        found = load_json(file)
+        # a setting that is younger than the folder had its default
+        found = {field.name: field.default for field in fields(Settings)} | load_json(file)
+        found = {key: list(v) if isinstance(v, tuple) else v for key, v in found.items()}
         if found != wanted:
             different = ", ".join(key for key in wanted if found.get(key) != wanted[key])
             raise ValueError(f"output: {paths.root} was begun with another {different}, need another folder")

@@ -171,10 +171,12 @@ def _frequency(effect: Mapping, diagnosis: Mapping) -> bool:
 
 
 def _first(answer: Mapping, diagnosis: Mapping) -> str:
-    if diagnosis["effects"]:
-        return str(diagnosis["effects"][0]["id"])
-    if any(states_limit(effect, diagnosis) for effect in answer["effects"]):
+    first = str(diagnosis["effects"][0]["id"]) if diagnosis["effects"] else ""
+    truth = [effect["id"] for effect in answer["effects"]]
+    if first not in truth and any(states_limit(effect, diagnosis) for effect in answer["effects"]):
         return LIMIT
+    if first:
+        return first
     return "unknown" if diagnosis["verdict"] == "differs" else NONE
 
 
