@@ -59,7 +59,8 @@ def diagnosis_seconds(kind: str, lengths: Sequence[int], *, seed: int = _SEED) -
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         write_bag(folder / "calibration", case.calibration)
-        _run("fit", "--simulation-only", "--bag", "calibration", "--output", "model.yaml", folder=folder)
+        calibration = ("--bag", "calibration", "--device", plan.device, "--output", "model.yaml")
+        _run("fit", "--simulation-only", *calibration, folder=folder)
         times = []
         for count in lengths:
             current = np.concatenate([informative_current(rng, PRESETS[plan.device]) for _ in range(count)])
