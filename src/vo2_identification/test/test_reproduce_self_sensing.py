@@ -6,7 +6,7 @@ from vo2_control.controller import CurrentLimits
 from vo2_control.pid import PidGains, pid_controller
 from vo2_identification.reproduce.claims import Context
 from vo2_identification.reproduce.sections import figure_7_5
-from vo2_identification.reproduce.streamed_loop import streamed_error
+from vo2_identification.reproduce.streamed_loop import streamed_errors
 from vo2_models.device import preset, truth
 from vo2_models.self_sensing import PolynomialSelfSensing
 
@@ -18,10 +18,11 @@ def test_the_streamed_loop_is_the_compiled_one():
     controller = pid_controller(gains, CurrentLimits(*preset("integrated").current_range), 1e-3)
     before = controller.state
     reference = 1e-6 * np.repeat([20.0, 35.0, 28.0], 150)
-    compiled = run_loop(device, line, controller, reference, seed=9).error_m
-    np.testing.assert_allclose(
-        streamed_error(device, line, controller, reference, seed=9), compiled, rtol=0, atol=1e-15
-    )
+    run = run_loop(device, line, controller, reference, seed=9)
+    compiled = run.error_m
+    error, own = streamed_errors(device, line, controller, reference, seed=9)
+    np.testing.assert_allclose(error, compiled, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(own, reference - run.estimate_m, rtol=0, atol=1e-15)
     np.testing.assert_array_equal(controller.state, before)
     deflection = reference - compiled
     assert np.ptp(deflection) > 15e-6, "the loop must move the device for the comparison to mean something"

@@ -9,20 +9,20 @@ from vo2_models.device import TruthDevice
 from vo2_models.recording import RESISTANCE
 from vo2_models.self_sensing import SelfSensing
 
-__all__ = ["streamed_error"]
+__all__ = ["streamed_errors"]
 
 Floats = NDArray[np.float64]
 
 
-def streamed_error(
+def streamed_errors(
     device: TruthDevice,
     sensing: SelfSensing,
     controller: LinearController,
     reference_m: Floats,
     *,
     seed: int = 0,
-) -> Floats:
-    """Return reference minus true deflection (n,) [m] from the device's long rest, as `run_loop` with the same arguments.
+) -> tuple[Floats, Floats]:
+    """Return reference minus true and reference minus estimated deflection, (n,) [m] each, as `run_loop` from a long rest.
 
     `controller` starts from its present memory and is left as it is.
     """
@@ -30,11 +30,11 @@ def streamed_error(
     film = stepper.channels.index(RESISTANCE)
     memory, before = sensing.initial_state(), controller.state
     current = float(before[-1])
-    error = np.empty(reference_m.size)
+    error, own = np.empty(reference_m.size), np.empty(reference_m.size)
     for k, wanted in enumerate(reference_m.tolist()):
         resistance = float(stepper.step(current)[film])
         estimate = sensing.step(resistance, memory)[0]
-        error[k] = wanted - stepper.true_deflection
+        error[k], own[k] = wanted - stepper.true_deflection, wanted - estimate
         current = controller.update(wanted, float(estimate))
     controller.state = before
-    return error
+    return error, own
