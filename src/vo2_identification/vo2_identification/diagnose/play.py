@@ -37,7 +37,9 @@ __all__ = ["play", "playable_levels"]
 _NAME = "next_experiment"
 _SPIN_S = 0.05
 _LISTEN_S = 0.5
-"""Time in which another commander would be heard, and in which links settle."""
+"""Time in which links settle."""
+_OTHERS_S = 3.0
+"""Time in which another commander would be heard: a process that keeps a core busy is discovered late."""
 _SILENT_S = 10.0
 """Time without a new sample after which the device counts as gone."""
 _END_S = 1.0
@@ -167,7 +169,7 @@ def _meet(node: IdentifierNode, executor: Executor, stop: StopFlag, device: str,
             f"--next: nobody {missing}, waited {wait_s:g} s: start the plant or the rig, with this ROS_DOMAIN_ID "
             f"({os.environ.get('ROS_DOMAIN_ID', '0')}), and run this again"
         )
-    _spin(executor, _LISTEN_S)
+    _spin(executor, _OTHERS_S, lambda: bool(commanded))
     reader.read(measured[-1])
     if reader.device and reader.device != device:
         raise ValueError(
