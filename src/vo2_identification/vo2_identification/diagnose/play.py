@@ -36,6 +36,8 @@ __all__ = ["play", "playable_levels"]
 
 _NAME = "next_experiment"
 _SPIN_S = 0.05
+_NAMELESS = "_NODE_NAME_UNKNOWN_"
+"""What the ROS graph says of a node whose name has not arrived yet."""
 _LISTEN_S = 0.5
 """Time in which links settle."""
 _OTHERS_S = 3.0
@@ -176,9 +178,15 @@ def _meet(node: IdentifierNode, executor: Executor, stop: StopFlag, device: str,
             f"--next: {measurement} comes from device {reader.device!r}, the model is of {device!r}"
         )
     if commanded:
-        others = {info.node_name for info in node.get_publishers_info_by_topic(command)} - {_NAME}
+
+        def others() -> list[str]:
+            found = {info.node_name for info in node.get_publishers_info_by_topic(command)}
+            return sorted(found - {_NAME, _NAMELESS})
+
+        # a link comes up before the name of the node behind it is known
+        _spin(executor, _OTHERS_S, others)
         raise ValueError(
-            f"--next: another node commands on {command} ({', '.join(sorted(others)) or 'unknown'}); stop it first"
+            f"--next: another node commands on {command} ({', '.join(others()) or 'unknown'}); stop it first"
         )
     for subscription in listening:
         node.destroy_subscription(subscription)
