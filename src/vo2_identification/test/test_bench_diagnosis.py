@@ -8,6 +8,9 @@ from vo2_identification import bench_diagnosis
 
 def test_it_is_found_by_the_names_of_its_entries():
     assert "vo2_identification.bench_diagnosis" in runner.companions()
+    known = {entry.name: entry for entry in bench_diagnosis.ENTRIES}
+    assert runner.select(known, []) == []  # minutes: on request only
+    assert [entry.name for entry in runner.select(known, ["diagnosis_40k"])] == ["diagnosis_40k"]
     targets = {entry.name: (entry.target, entry.of, entry.above) for entry in bench_diagnosis.ENTRIES}
     assert targets == {"diagnosis_10k": (20.0, "value", False), "diagnosis_40k": (120.0, "value", False)}
 

@@ -46,6 +46,7 @@ class Entry:
     target : the figure asked for
     of : whether the target bounds the "value" or the "ratio"
     above : True where the figure should be at least the target instead of at most
+    on_request : True for one that takes minutes: measured only where it is named
     """
 
     name: str
@@ -53,6 +54,7 @@ class Entry:
     target: float | None = None
     of: str = "value"
     above: bool = False
+    on_request: bool = False
 
     def met(self, figure: Figure) -> bool | None:
         """Whether the figure meets the target; None without one."""

@@ -83,11 +83,11 @@ def _with_companions(known: dict[str, Entry]) -> dict[str, Entry]:
 
 
 def select(known: Mapping[str, Entry], names: Sequence[str]) -> list[Entry]:
-    """The entries named, all if none is; an unknown name is a `ValueError` that lists the known ones."""
+    """The entries named; if none is, all but those on request; an unknown name is a `ValueError` with the known ones."""
     unknown = [name for name in names if name not in known]
     if unknown:
         raise ValueError(f"--only: found {', '.join(unknown)}, need some of {', '.join(known)}")
-    return [known[name] for name in names] if names else list(known.values())
+    return [known[name] for name in names] or [entry for entry in known.values() if not entry.on_request]
 
 
 def table(entry: Entry, figure: Figure) -> str:
