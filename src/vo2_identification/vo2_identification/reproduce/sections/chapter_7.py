@@ -222,9 +222,8 @@ def run(context: Context) -> Section:
             f"{name} {np.mean([device.loops['sine', name] for device in found]) * 1e-4 / RANGE_M:.3f}"
             for name in SCHEMES
         )
-        + ". The tip first turns back when the heat does, by thermal expansion; the composite estimate shows it, so the "
-        "integral action runs the wrong way for a moment and the loop hunts. A scheme of the resistance alone does not see "
-        "the turn.",
+        + ". After a reversal the tip first goes on the wrong way, by thermal expansion; a scheme whose estimate shows it can "
+        "make the integral action hunt.",
     )
     return Section(NUMBER, TITLE, tuple(claims), (bars, figure), remarks)
 
