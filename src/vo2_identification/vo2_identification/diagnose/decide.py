@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_identification.diagnose.evidence import Evidence
+from vo2_identification.diagnose.evidence import Evidence, side_by_side
 from vo2_identification.diagnose.explain import Explanation, fit_jointly
 from vo2_identification.diagnose.hypotheses import Hypothesis
 
@@ -147,18 +147,21 @@ def held_out(
     squares: dict[str, dict[str, float]] = {"before": {}, "after": {}}
     numbers: dict[str, int] = {}
     estimates = []
-    for held in folds or block_folds(evidence):
+    masks = list(folds or block_folds(evidence))
+
+    def trained(held: NDArray[np.bool_]) -> tuple[Evidence, Explanation | None]:
         training = evidence.restricted(~held)
-        if explanation is not None:
-            fitted = fit_jointly(
-                training, explanation.hypotheses, explanation.values, iterations=3, tick=tick
-            )
+        if explanation is None:
+            return training, None
+        hypotheses, values = explanation.hypotheses, explanation.values
+        return training, fit_jointly(training, hypotheses, values, iterations=3, tick=tick)
+
+    for held, (training, fitted) in zip(masks, side_by_side(trained, masks), strict=True):
+        change = np.zeros(evidence.weight.size)
+        if fitted is not None:
             estimates.append(fitted.values)
             change = evidence.deviation(fitted.effects, fitted.shift)
-            weights = training.absorb(training.residual - np.where(held, 0.0, change))
-        else:
-            change = np.zeros(evidence.weight.size)
-            weights = training.absorb(training.residual)
+        weights = training.absorb(training.residual - np.where(held, 0.0, change))
         plainly = nominal.restricted(~held)
         rest = evidence.residual - change
         with_it = rest - evidence.base.times(weights)

@@ -13,9 +13,10 @@ lowers q: the refit of the base is in it, without being made.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +27,25 @@ from vo2_identification.diagnose.nominal import Nominal, Response
 from vo2_identification.diagnose.part import Part
 from vo2_identification.diagnose.tangent import Tangent
 
-__all__ = ["Evidence", "LoopColumns", "Row", "gather"]
+__all__ = ["Evidence", "LoopColumns", "Row", "gather", "side_by_side"]
 
 Floats = NDArray[np.float64]
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 Effects = Mapping[str, Mapping[str, float | str]]
 CORES = min(os.cpu_count() or 1, 8)
 """Simulations that run side by side; the compiled chain holds no lock."""
 STILL_K = 0.1
 """Move of a temperature path over which the loop columns are taken as unchanged [K]."""
+
+
+def side_by_side(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """Results of a function for several items, in their order, worked out on as many cores as there are."""
+    several = list(items)
+    if len(several) < 2:
+        return [function(item) for item in several]
+    with ThreadPoolExecutor(max_workers=min(len(several), CORES)) as pool:
+        return list(pool.map(function, several))
 
 
 @dataclass(frozen=True)
@@ -136,10 +148,7 @@ class Evidence:
         self, several: Sequence[Effects], shift: Floats | None = None, *, fine: bool = True
     ) -> list[Floats]:
         """`deviation` of several sets of effects, simulated side by side on the cores."""
-        if len(several) < 2:
-            return [self.deviation(effects, shift, fine=fine) for effects in several]
-        with ThreadPoolExecutor(max_workers=min(len(several), CORES)) as pool:
-            return list(pool.map(lambda effects: self.deviation(effects, shift, fine=fine), several))
+        return side_by_side(lambda effects: self.deviation(effects, shift, fine=fine), several)
 
     def absorb(self, vector: Floats) -> Floats:
         """Weights (k,) with which the base absorbs a whitened vector."""
@@ -240,25 +249,15 @@ def gather(
     residual *= weight
     kept = _loop_columns(shapes, rows, responses, corrected, weight, loops or {})
     blocks = _whitened(kept, rows, corrected, weight)
-    columns = []
     partial = Evidence(
         corrected, origin, tuple(parts), tuple(rows), weight, tuple(responses), residual,
         Tangent((), np.zeros((end, 0))), (), (), dict(effects or {}), shapes, kept,
     )  # fmt: skip
-    for place in range(origin.size):
-        step = np.zeros(origin.size)
-        step[place] = 0.2
-        moved = [
-            corrected.respond(
-                p.current,
-                p.dt,
-                effects=effects,
-                thermal=_moved(corrected, origin + step),
-                settled=p.settled,
-            )
-            for p in parts
-        ]
-        columns.append(partial.stack(moved) / 0.2)
+
+    def column(step: Floats) -> Floats:
+        return partial.stack(partial.responses({}, origin + step)) / 0.2
+
+    columns = side_by_side(column, 0.2 * np.eye(origin.size))
     base = Tangent(blocks, np.column_stack(columns) if columns else np.zeros((end, 0)))
     # told from the model's own thermal parameters, so that the base pays for the origin too
     if origin.size:
@@ -317,28 +316,27 @@ def _loop_columns(
     known: Mapping[str, LoopColumns],
 ) -> dict[str, LoopColumns]:
     """Columns of the loop shapes on these responses: few directions, each a unit normal beforehand."""
-    found = {}
-    for channel, shape in shapes.items():
+    present = [channel for channel in shapes if any(row.channel == channel for row in rows)]
+
+    def columns(channel: str) -> LoopColumns:
         own = [row for row in rows if row.channel == channel]
-        if not own:
-            continue
         paths = tuple(responses[row.part].temperature for row in own)
-        before = known.get(channel)
+        before, shape = known.get(channel), shapes[channel]
         if before is not None and before.fits(paths):
-            found[channel] = before
-            continue
+            return before
         features = [shape.basis.features(path, span=shape.span) for path in paths]
-        if before is None:
+        if before is not None:
+            directions = before.directions
+        else:
             noise = nominal.noise[channel]
             gram = sum(
                 _sampled_gram(noise.whiten(f) * weight[row.where, None])
                 for f, row in zip(features, own, strict=True)
             )
             directions = shape.spread(_main_directions(shape.whitened(np.asarray(gram))))
-        else:
-            directions = before.directions
-        found[channel] = LoopColumns(directions, paths, tuple(f @ directions for f in features))
-    return found
+        return LoopColumns(directions, paths, tuple(f @ directions for f in features))
+
+    return dict(zip(present, side_by_side(columns, present), strict=True))
 
 
 def _whitened(

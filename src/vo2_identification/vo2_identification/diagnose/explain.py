@@ -29,6 +29,12 @@ SHOWS = 4.0
 """Change of q by a step of a parameter from which a bound that it has come to matters."""
 FORGONE = 100.0
 """Drop of q beyond a bound from which the bound matters: a quarter of what makes a name."""
+CORRECTED = 4
+"""Steps at most with a tangent that is corrected by the steps before, until it is taken anew."""
+FORESEEN = 0.25
+"""Share of the expected drop of q that a step must bring for the tangent to be corrected, not taken anew."""
+TOLD = 0.1
+"""Drop of q, in units of the residual's power over the noise's, below which two fits are the same."""
 BATCH = 32
 """Simulations judged together; one matrix product serves them all."""
 
@@ -441,38 +447,89 @@ class _Joint:
     def descend(
         self, start: Sequence[Mapping[str, float]], shift: Floats, iterations: int
     ) -> tuple[list[dict[str, float]], Floats, float]:
-        """Return values, change and q at the minimum near the start."""
+        """Return values, change and q at the minimum near the start.
+
+        The tangent is taken by differences at most `iterations` times. In between, where a step did nearly what was
+        expected, it is corrected by what the step showed (Broyden's rank-one update), which needs no simulation. The
+        end is where no step is expected to lower q by anything that the residual could tell.
+        """
         evidence, target = self.evidence, self.evidence.residual
         values = [dict(v) for v in start]
         change = self.deviation(values, shift)
         q = q_first = evidence.chi_square(target - change)
         damping = 1e-3
+
+        def matters(drop: float) -> bool:
+            return drop > max(TOLD * q / max(evidence.count, 1), 1e-4 * (q_first - q), 0.05)
+
         for _ in range(iterations):
             self.linearise(values, change, shift)
             left = evidence.left(self.tangent)
-            normal = self.tangent.T @ left
-            right = left.T @ (target - change)
-            improved = False
-            for _ in range(6):
-                ridge = damping * np.diag(normal) + 1e-9
-                step = np.clip(np.linalg.solve(normal + np.diag(ridge), right), -30, 30)
-                trial = [dict(v) for v in values]
-                for place, (k, name) in enumerate(self.coordinates):
-                    trial[k][name] = _moved(self.hypotheses[k], name, values[k][name], float(step[place]))
-                new = self.deviation(trial, shift)
-                q_new = evidence.chi_square(target - new)
-                if q_new < q - 1e-6:
-                    improved = True
+            q_here, ended = q, False
+            for corrected in range(1 + CORRECTED):
+                normal = self.tangent.T @ left
+                right = left.T @ (target - change)
+                free = self._free(values, right)
+                most = float(
+                    right[free] @ np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True) @ right[free]
+                )
+                if not matters(most):
+                    ended = True
                     break
-                damping = max(damping * 10, 1e-3)
-            if not improved:
-                break
-            drop = q - q_new
-            values, change, q = trial, new, q_new
-            damping = max(damping * 0.2, 1e-6)
-            if drop < 0.05 + 1e-4 * max(q_first - q, 0.0):
+                improved = False
+                for _ in range(2 if corrected else 5):
+                    trial, moved = self._step(values, normal, right, free, damping)
+                    expected = float(moved @ (2.0 * right - normal @ moved))
+                    if expected > 0.0:
+                        new = self.deviation(trial, shift)
+                        q_new = evidence.chi_square(target - new)
+                        if q_new < q - 1e-6:
+                            improved = True
+                            break
+                    damping = max(damping * 30, 1e-3)
+                if not improved:
+                    break
+                drop, unforeseen = q - q_new, new - change - self.tangent @ moved
+                values, change, q = trial, new, q_new
+                damping = max(damping * 0.2, 1e-6)
+                if drop < FORESEEN * expected or not matters(drop):
+                    break
+                along = moved / float(moved @ moved)
+                self.tangent = self.tangent + np.outer(unforeseen, along)
+                left = left + np.outer(evidence.left(unforeseen), along)
+            if ended or not matters(q_here - q):
                 break
         return values, change, q
+
+    def _free(self, values: Sequence[Mapping[str, float]], right: Floats) -> NDArray[np.bool_]:
+        """Coordinates (p,) that no bound stops on the way down."""
+        free = np.ones(right.size, dtype=bool)
+        for place, (k, name) in enumerate(self.coordinates):
+            hypothesis, old = self.hypotheses[k], values[k][name]
+            there = _moved(hypothesis, name, old, float(np.sign(right[place])))
+            free[place] = abs(_distance(hypothesis, name, old, there)) > 1e-3
+        return free
+
+    def _step(
+        self,
+        values: Sequence[Mapping[str, float]],
+        normal: Floats,
+        right: Floats,
+        free: NDArray[np.bool_],
+        damping: float,
+    ) -> tuple[list[dict[str, float]], Floats]:
+        """Values after a damped step of the free coordinates, inside the bounds, and the step (p,) that this was."""
+        own = normal[np.ix_(free, free)]
+        step = np.zeros(right.size)
+        step[free] = np.linalg.solve(own + np.diag(damping * np.diag(own) + 1e-9), right[free])
+        step *= min(1.0, 30.0 / max(float(np.max(np.abs(step))), 1e-300))  # all together: parameters trade
+        trial = [dict(v) for v in values]
+        moved = np.zeros(right.size)
+        for place, (k, name) in enumerate(self.coordinates):
+            hypothesis, old = self.hypotheses[k], values[k][name]
+            trial[k][name] = _moved(hypothesis, name, old, float(step[place]))
+            moved[place] = _distance(hypothesis, name, old, trial[k][name])
+        return trial, moved
 
 
 def _distance(hypothesis: Hypothesis, name: str, old: float, new: float) -> float:

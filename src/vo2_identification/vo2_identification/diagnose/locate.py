@@ -30,8 +30,8 @@ class Breakdown:
     Attributes
     ----------
     channel : name
-    excess : excess energy, whitened units
-    floor : energy that noise alone has
+    excess : excess energy, in units of the noise power
+    floor : energy that noise alone has, the same
     axes : axis -> (edges (b + 1,) or labels, energy (b,)); axes are time, branch, temperature, amplitude,
         reversals, frequency
     """
@@ -45,7 +45,15 @@ class Breakdown:
 def breakdown(evidence: Evidence, residual: Floats, *, floor: float = 1.0) -> list[Breakdown]:
     """Split the excess energy of a whitened residual (N,) along every axis, channel by channel.
 
-    `floor` is the energy per sample that is noise: 1 for a residual, 0 for what a model says.
+    Energy is that of the residual itself over the channel's noise power: of the innovations, a channel whose noise is
+    slow would seem to have less of a slow excess than it has. Only the spectrum is that of the innovations, above
+    whose flat floor a line stands out.
+
+    Parameters
+    ----------
+    evidence : the problem
+    residual : (N,) whitened, what is split
+    floor : energy per sample that is noise: 1 for a residual, 0 for what a model says
     """
     found = []
     for channel in dict.fromkeys(row.channel for row in evidence.rows):
@@ -59,7 +67,9 @@ def breakdown(evidence: Evidence, residual: Floats, *, floor: float = 1.0) -> li
             if row.channel != channel:
                 continue
             e, w = residual[row.where], evidence.weight[row.where]
-            energy = np.where(w > 0, e**2 - floor, 0.0)
+            counts, noise = w > 0, evidence.nominal.noise[channel]
+            weight = np.where(counts, w, 1.0)
+            energy = np.where(counts, (noise.color(e / weight) / noise.level) ** 2 - floor / weight**2, 0.0)
             direction, amplitude, order = _history(response.temperature)
             pieces["energy"].append(energy)
             pieces["time"].append(part.time_s - part.time_s[0] + offset)

@@ -7,6 +7,7 @@ so everything downstream works on innovations of an autoregressive model.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ class NoiseModel:
     innovation: float
     ar: tuple[float, ...] = ()
 
-    @property
+    @cached_property
     def level(self) -> float:
         """Standard deviation of the noise itself, in the channel's unit."""
         if not self.ar:
@@ -66,8 +67,11 @@ class NoiseModel:
         x = np.asarray(x, dtype=np.float64)
         if not self.ar:
             return x / self.innovation
-        out = lfilter([1.0, *(-a for a in self.ar)], [1.0], x, axis=0) / self.innovation
         order = len(self.ar)
+        out = x.copy()
+        for lag, a in enumerate(self.ar, 1):
+            out[lag:] -= a * x[:-lag]
+        out /= self.innovation
         out[:order] = x[:order] / self.level
         return out
 

@@ -310,9 +310,10 @@ def span_of(device: str) -> dict[str, float]:
 
 
 def _bounded(out: Floats) -> Floats:
-    out = np.nan_to_num(out, nan=1e9, posinf=1e9, neginf=-1e9).clip(-1e9, 1e9)
-    out[:, 5] = out[:, 5].clip(-1e3, 1e4)
-    out[:, 7:9] = out[:, 7:9].clip(-1e3, 1e3)
+    if not float(np.max(np.abs(out), initial=0.0)) < 1e9:  # not a number, too
+        out = np.nan_to_num(out, nan=1e9, posinf=1e9, neginf=-1e9).clip(-1e9, 1e9)
+    np.clip(out[:, 5], -1e3, 1e4, out=out[:, 5])
+    np.clip(out[:, 7:9], -1e3, 1e3, out=out[:, 7:9])
     return out
 
 

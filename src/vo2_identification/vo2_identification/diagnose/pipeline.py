@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,7 +16,7 @@ from vo2_models.recording import Recording
 from vo2_identification.diagnose.base import covered_range, loop_shapes
 from vo2_identification.diagnose.check import Finding, Unusable, check_recording
 from vo2_identification.diagnose.decide import HeldOut, Thresholds, block_folds, held_out
-from vo2_identification.diagnose.evidence import Evidence, gather
+from vo2_identification.diagnose.evidence import Evidence, gather, side_by_side
 from vo2_identification.diagnose.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
 from vo2_identification.diagnose.hypotheses import Hypothesis, hypotheses
 from vo2_identification.diagnose.locate import Breakdown, breakdown
@@ -106,15 +107,17 @@ class _Clock:
 
     def __init__(self, report: Progress, expected: int) -> None:
         self.report, self.expected, self.done, self.text = report, expected, 0, ""
+        self.lock = threading.Lock()
 
     def say(self, text: str) -> None:
         self.text = text
         self.report(min(self.done / self.expected, 0.99), text)
 
     def tick(self) -> None:
-        self.done += 1
-        if self.done % 16 == 0:
-            self.report(min(self.done / self.expected, 0.99), self.text)
+        with self.lock:  # fits run side by side
+            self.done += 1
+            if self.done % 16 == 0:
+                self.report(min(self.done / self.expected, 0.99), self.text)
 
 
 def diagnose(
@@ -347,21 +350,36 @@ def _explained(base: Study, clock: _Clock) -> Study:
     scores = scored[0]
     clock.say("refitting the most promising")
     q_base = evidence.chi_square(evidence.residual)
+    promising = [
+        (problem, s)
+        for problem, ranked in zip(problems, scored, strict=True)
+        for s in [s for s in ranked if s.gain > max(0.08 * ranked[0].gain, FAINT)][:SHORTLIST]
+    ]
+
+    def refitted(item: tuple[Evidence, Score]) -> Explanation:
+        problem, s = item
+        start = switched(problem, s.hypothesis, s.start, problem.residual, tick=clock.tick)
+        return fit_jointly(problem, [s.hypothesis], [start], iterations=BRIEF, tick=clock.tick)
+
     fits: dict[str, tuple[Evidence, Explanation]] = {}
-    for problem, ranked in zip(problems, scored, strict=True):
-        least = max(0.08 * ranked[0].gain, FAINT)
-        for s in [s for s in ranked if s.gain > least][:SHORTLIST]:
-            start = switched(problem, s.hypothesis, s.start, problem.residual, tick=clock.tick)
-            fit = fit_jointly(problem, [s.hypothesis], [start], iterations=BRIEF, tick=clock.tick)
-            known = fits.get(s.hypothesis.key)
-            if known is None or fit.chi_square < known[1].chi_square:
-                fits[s.hypothesis.key] = problem, replace(fit, gain=q_base - fit.chi_square)
+    for (problem, s), fit in zip(promising, side_by_side(refitted, promising), strict=True):
+        known = fits.get(s.hypothesis.key)
+        if known is None or fit.chi_square < known[1].chi_square:
+            fits[s.hypothesis.key] = problem, replace(fit, gain=q_base - fit.chi_square)
     most = max((fit.gain for _, fit in fits.values()), default=0.0)
-    for key, (problem, fit) in fits.items():
-        if fit.gain > 0.5 * most:  # those that may be the answer, or its rivals, to the end
-            again = fit_jointly(problem, fit.hypotheses, fit.values, tick=clock.tick)
-            if again.chi_square < fit.chi_square:
-                fits[key] = problem, replace(again, gain=q_base - again.chi_square)
+
+    def finished(item: tuple[Evidence, Explanation]) -> tuple[Evidence, Explanation]:
+        problem, fit = item
+        if fit.gain <= 0.5 * most:  # those that may be the answer, or its rivals, to the end
+            return item
+        again = fit_jointly(problem, fit.hypotheses, fit.values, tick=clock.tick)
+        return (
+            (problem, replace(again, gain=q_base - again.chi_square))
+            if again.chi_square < fit.chi_square
+            else item
+        )
+
+    fits = dict(zip(fits, side_by_side(finished, fits.values()), strict=True))
     singles = [fit for _, fit in fits.values()]
     singles.sort(key=lambda e: e.chi_square + len(e.coordinates) * np.log(evidence.count))
     not_excited = tuple(_not_excited(scores))

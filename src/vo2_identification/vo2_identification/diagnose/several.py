@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_identification.diagnose.decide import Thresholds
-from vo2_identification.diagnose.evidence import Evidence, gather
+from vo2_identification.diagnose.evidence import Evidence, gather, side_by_side
 from vo2_identification.diagnose.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
 from vo2_identification.diagnose.hypotheses import Hypothesis
 from vo2_identification.diagnose.nominal import Nominal
@@ -25,6 +25,8 @@ Floats = NDArray[np.float64]
 Tick = Callable[[], None]
 PARTNERS = 5
 """Effects that are refitted beside another, the most promising ones."""
+BRIEF_BESIDE = 2
+"""Iterations after which a refit beside another effect shows whether it is worth going on."""
 HOPELESS = 0.5
 """Share of what makes a second effect count below which no exchange is tried."""
 EXCHANGES = 3
@@ -191,15 +193,24 @@ def _joined(
     residual = about.residual - first.deviation
     base = replace(about.base, thermal=np.hstack([FREE * first.tangent, about.base.thermal]))
     scores = score(replace(about, base=base), others, residual, tick=tick)
-    joints = []
-    for s in [s for s in scores if s.gain > _least(s, scores, limits)][:PARTNERS]:
+    promising = [s for s in scores if s.gain > _least(s, scores, limits)][:PARTNERS]
+
+    def refitted(s: Score) -> Explanation:
         start = switched(about, s.hypothesis, s.start, residual, tick=tick)
-        joint = fit_jointly(
-            about, [*first.hypotheses, s.hypothesis], [*first.values, start], iterations=8, tick=tick
-        )
-        if not joint.at_bound:
-            joints.append(joint)
-    return sorted(joints, key=lambda e: e.chi_square)
+        both, values = [*first.hypotheses, s.hypothesis], [*first.values, start]
+        return fit_jointly(about, both, values, iterations=BRIEF_BESIDE, tick=tick)
+
+    joints = side_by_side(refitted, promising)
+    lowest = min((joint.chi_square for joint in joints), default=0.0)
+    halfway = 0.5 * (about.chi_square(residual) + lowest)
+
+    def finished(joint: Explanation) -> Explanation:
+        if joint.chi_square > halfway:  # those that may be the answer, or its rivals, to the end
+            return joint
+        return fit_jointly(about, joint.hypotheses, joint.values, iterations=8, tick=tick)
+
+    joints = side_by_side(finished, joints)
+    return sorted((j for j in joints if not j.at_bound), key=lambda e: e.chi_square)
 
 
 def _simplest(

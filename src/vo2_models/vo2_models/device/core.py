@@ -136,7 +136,10 @@ def _among_neighbours(
         packed, play = (packed_d, play_d) if which == 1 else (packed_r, play_r)
         raw = _peek(kind, which, v, packed, play, levels, domains, metallic, x)
         there = output_share(kind, which, _followed(which, raw, ramp, c, x), c)
+        before = felt
         felt = film + c[C.INCONGRUENCY] * (there - 0.5)
+        if felt == before:
+            break
     return felt
 
 

@@ -22,9 +22,7 @@ EFFECT = Effect(
     id="nonlinear_heat_loss",
     stage="thermal",
     parameters=(
-        constant_of(
-            "share", 0, "1", "additional loss at a rise of 60 K, as a share of the linear one", -0.6, 3
-        ),
+        constant_of("share", 0, "1", "additional loss at a rise of 60 K, as a share of the linear one", 0, 3),
         constant_of("exponent", 2, "1", "exponent n of the additional loss", 1.05, 5),
     ),
     apply=_apply,
