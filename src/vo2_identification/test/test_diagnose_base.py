@@ -7,9 +7,10 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from vo2_identification.diagnose.base import _block_covariance
-from vo2_identification.diagnose.evidence import gather
-from vo2_identification.diagnose.explain import switched
+from vo2_identification.diagnose.evidence import gather, side_by_side
+from vo2_identification.diagnose.explain import fit_jointly, switched
 from vo2_identification.diagnose.hypotheses import Hypothesis
+from vo2_identification.diagnose.locate import breakdown
 from vo2_identification.diagnose.noise import NoiseModel
 from vo2_identification.diagnose.nominal import Nominal, rounded_with_noise
 from vo2_identification.diagnose.part import prepare
@@ -120,6 +121,72 @@ def test_switching_times_are_found_by_search() -> None:
     assert abs(found["start"] - 0.731) < 0.02  # from 0.23 and 0.34 s off
     assert abs(found["stop"] - 1.862) < 0.02  # from 0.23 and 0.34 s off
     assert 0.4 < found["rise"] < 1.2
+
+
+def _changed(changes: dict[str, dict[str, float | str]], size: int = 3000, ar: tuple[float, ...] = ()):
+    """The problem of a device on which effects act, taken to have noise of one colour in the resistance."""
+    nominal, current, dt = replace(_model(), noise={RESISTANCE: NoiseModel(1e-3, ar)}), _drive(size), 1e-3
+    shown = nominal.respond(current, dt, effects=changes).channels[RESISTANCE]
+    shown = shown + 1e-3 * np.random.default_rng(1).normal(size=size)
+    time = dt * np.arange(size)
+    recording = Recording(time, {HEATER_CURRENT: current, RESISTANCE: 10.0**shown}, "integrated")
+    return gather(nominal, [prepare(recording, nominal)])
+
+
+def test_a_refit_ends_where_no_small_change_fits_better() -> None:
+    kinetics = {"transition_kinetics": {"time_constant": 4e-3}, "nonlinear_heat_loss": {"share": 0.1}}
+    evidence = _changed(kinetics)
+    both = [
+        Hypothesis(effects()["transition_kinetics"], "", ({"time_constant": 1e-3},), {"time_constant": 2e-4}),
+        Hypothesis(effects()["nonlinear_heat_loss"], "", ({"share": 0.02},), {"share": 0.005}),
+    ]
+    found = fit_jointly(evidence, both, [h.starts[0] for h in both])
+    assert found.values[0]["time_constant"] == pytest.approx(4e-3, rel=0.05)
+
+    def q(values) -> float:
+        merged = {h.key: h.effects(v)[h.key] for h, v in zip(both, values, strict=True)}
+        change = evidence.deviation(merged, found.shift)
+        return evidence.chi_square(evidence.residual - change)
+
+    assert q(found.values) == pytest.approx(found.chi_square, rel=1e-9)
+    for index, name, step in ((0, "time_constant", 2e-4), (1, "share", 0.005)):
+        for sign in (-1.0, 1.0):
+            moved = [dict(v) for v in found.values]
+            moved[index][name] += sign * step
+            assert q(moved) > found.chi_square - 0.3
+
+
+def test_a_bound_stops_one_effect_and_not_the_other() -> None:
+    """A heater that gains with temperature looks like a loss of negative size, which there is not."""
+    evidence = _changed({"transition_kinetics": {"time_constant": 4e-3}, "heater_tcr": {"alpha": 1e-3}})
+    both = [
+        Hypothesis(effects()["nonlinear_heat_loss"], "", ({"share": 0.02},), {"share": 0.005}),
+        Hypothesis(effects()["transition_kinetics"], "", ({"time_constant": 1e-3},), {"time_constant": 2e-4}),
+    ]
+    found = fit_jointly(evidence, both, [h.starts[0] for h in both])
+    alone = fit_jointly(evidence, both[1:], [both[1].starts[0]])
+    assert found.values[0]["share"] == 0.0
+    assert found.values[1]["time_constant"] == pytest.approx(alone.values[0]["time_constant"], rel=0.02)
+
+
+def test_a_place_is_told_by_the_change_over_the_noise_power() -> None:
+    """Slow noise must not hide that a slow change is in a channel: its innovations would tell less of it."""
+    evidence = _changed({}, ar=(0.9,))
+    warmer = {"laser_heating": {"rise": 0.5}}
+    found = breakdown(evidence, evidence.deviation(warmer), floor=0.0)
+    plain = (
+        evidence.responses(warmer)[0].channels[RESISTANCE]
+        - evidence.nominal_responses[0].channels[RESISTANCE]
+    )
+    level = 1e-3 / np.sqrt(1 - 0.9**2)
+    counts = evidence.weight > 0
+    assert found[0].excess == pytest.approx(np.sum((plain[counts] / level) ** 2), rel=1e-6)
+
+
+def test_side_by_side_keeps_the_order_and_raises() -> None:
+    assert side_by_side(lambda x: x**2, range(20)) == [x**2 for x in range(20)]
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(lambda x: 1 / x, [2, 1, 0])
 
 
 @pytest.mark.parametrize("share", [0.05, 0.3, 1.0])

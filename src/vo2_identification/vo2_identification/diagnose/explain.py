@@ -33,6 +33,8 @@ CORRECTED = 4
 """Steps at most with a tangent that is corrected by the steps before, until it is taken anew."""
 FORESEEN = 0.25
 """Share of the expected drop of q that a step must bring for the tangent to be corrected, not taken anew."""
+SETTLED = 1e-4
+"""Share of the whole drop of q below which a step's drop shows that the next would bring next to nothing."""
 TOLD = 0.1
 """Drop of q, in units of the residual's power over the noise's, below which two fits are the same."""
 BATCH = 32
@@ -459,8 +461,8 @@ class _Joint:
         q = q_first = evidence.chi_square(target - change)
         damping = 1e-3
 
-        def matters(drop: float) -> bool:
-            return drop > max(TOLD * q / max(evidence.count, 1), 1e-4 * (q_first - q), 0.05)
+        def matters(drop: float, share: float) -> bool:
+            return drop > max(TOLD * q / max(evidence.count, 1), share * (q_first - q), 0.05)
 
         for _ in range(iterations):
             self.linearise(values, change, shift)
@@ -473,7 +475,7 @@ class _Joint:
                 most = float(
                     right[free] @ np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True) @ right[free]
                 )
-                if not matters(most):
+                if not matters(most, 0.0):
                     ended = True
                     break
                 improved = False
@@ -492,12 +494,12 @@ class _Joint:
                 drop, unforeseen = q - q_new, new - change - self.tangent @ moved
                 values, change, q = trial, new, q_new
                 damping = max(damping * 0.2, 1e-6)
-                if drop < FORESEEN * expected or not matters(drop):
+                if drop < FORESEEN * expected or not matters(drop, SETTLED):
                     break
                 along = moved / float(moved @ moved)
                 self.tangent = self.tangent + np.outer(unforeseen, along)
                 left = left + np.outer(evidence.left(unforeseen), along)
-            if ended or not matters(q_here - q):
+            if ended or not matters(q_here - q, SETTLED):
                 break
         return values, change, q
 
