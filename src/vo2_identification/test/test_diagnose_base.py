@@ -7,13 +7,14 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from vo2_identification.diagnose.base import _block_covariance
-from vo2_identification.diagnose.evidence import gather, side_by_side
+from vo2_identification.diagnose.evidence import gather
 from vo2_identification.diagnose.explain import fit_jointly, switched
 from vo2_identification.diagnose.hypotheses import Hypothesis
 from vo2_identification.diagnose.locate import breakdown
 from vo2_identification.diagnose.noise import NoiseModel
 from vo2_identification.diagnose.nominal import Nominal, rounded_with_noise
 from vo2_identification.diagnose.part import prepare
+from vo2_identification.diagnose.side_by_side import side_by_side
 from vo2_identification.diagnose.tangent import Tangent
 from vo2_models.device import DeviceModel
 from vo2_models.device.bank import PlayBank
@@ -181,6 +182,15 @@ def test_a_place_is_told_by_the_change_over_the_noise_power() -> None:
     level = 1e-3 / np.sqrt(1 - 0.9**2)
     counts = evidence.weight > 0
     assert found[0].excess == pytest.approx(np.sum((plain[counts] / level) ** 2), rel=1e-6)
+
+
+@pytest.mark.parametrize("ar", [(), (0.9,)])
+def test_noise_alone_has_no_excess_anywhere(ar) -> None:
+    evidence = _changed({}, ar=ar)
+    found = breakdown(evidence, np.random.default_rng(7).normal(size=evidence.weight.size))
+    assert abs(found[0].excess) < 0.3 * found[0].floor
+    twice = breakdown(evidence, 2 * np.random.default_rng(7).normal(size=evidence.weight.size))
+    assert twice[0].excess == pytest.approx(3 * found[0].floor, rel=0.4)
 
 
 def test_side_by_side_keeps_the_order_and_raises() -> None:

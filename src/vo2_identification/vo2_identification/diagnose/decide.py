@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_identification.diagnose.evidence import Evidence, side_by_side
+from vo2_identification.diagnose.evidence import Evidence
 from vo2_identification.diagnose.explain import Explanation, fit_jointly
 from vo2_identification.diagnose.hypotheses import Hypothesis
+from vo2_identification.diagnose.side_by_side import side_by_side
 
 __all__ = ["HeldOut", "Thresholds", "block_folds", "held_out", "probabilities"]
 

@@ -12,11 +12,8 @@ lowers q: the refit of the base is in it, without being made.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,27 +22,15 @@ from scipy.linalg import cho_factor, cho_solve
 from vo2_identification.diagnose.base import LoopShape, loop_shapes, thermal_spread
 from vo2_identification.diagnose.nominal import Nominal, Response
 from vo2_identification.diagnose.part import Part
+from vo2_identification.diagnose.side_by_side import side_by_side
 from vo2_identification.diagnose.tangent import Tangent
 
-__all__ = ["Evidence", "LoopColumns", "Row", "gather", "side_by_side"]
+__all__ = ["Evidence", "LoopColumns", "Row", "gather"]
 
 Floats = NDArray[np.float64]
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 Effects = Mapping[str, Mapping[str, float | str]]
-CORES = min(os.cpu_count() or 1, 8)
-"""Simulations that run side by side; the compiled chain holds no lock."""
 STILL_K = 0.1
 """Move of a temperature path over which the loop columns are taken as unchanged [K]."""
-
-
-def side_by_side(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Results of a function for several items, in their order, worked out on as many cores as there are."""
-    several = list(items)
-    if len(several) < 2:
-        return [function(item) for item in several]
-    with ThreadPoolExecutor(max_workers=min(len(several), CORES)) as pool:
-        return list(pool.map(function, several))
 
 
 @dataclass(frozen=True)

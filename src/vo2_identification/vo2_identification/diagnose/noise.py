@@ -68,7 +68,7 @@ class NoiseModel:
         if not self.ar:
             return x / self.innovation
         order = len(self.ar)
-        out = x.copy()
+        out = x.copy()  # lfilter would go through hundreds of columns one at a time
         for lag, a in enumerate(self.ar, 1):
             out[lag:] -= a * x[:-lag]
         out /= self.innovation

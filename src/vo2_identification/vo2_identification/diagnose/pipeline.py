@@ -16,7 +16,7 @@ from vo2_models.recording import Recording
 from vo2_identification.diagnose.base import covered_range, loop_shapes
 from vo2_identification.diagnose.check import Finding, Unusable, check_recording
 from vo2_identification.diagnose.decide import HeldOut, Thresholds, block_folds, held_out
-from vo2_identification.diagnose.evidence import Evidence, gather, side_by_side
+from vo2_identification.diagnose.evidence import Evidence, gather
 from vo2_identification.diagnose.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
 from vo2_identification.diagnose.hypotheses import Hypothesis, hypotheses
 from vo2_identification.diagnose.locate import Breakdown, breakdown
@@ -26,6 +26,7 @@ from vo2_identification.diagnose.nominal import MOVED, Nominal, loop_ends
 from vo2_identification.diagnose.part import prepare
 from vo2_identification.diagnose.result import Diagnosis, NextExperiment
 from vo2_identification.diagnose.several import Option, bend, option_of, pair_of, trace
+from vo2_identification.diagnose.side_by_side import side_by_side
 from vo2_identification.diagnose.statement import assemble
 from vo2_identification.diagnose.unknown import Unnamed, describe_unknown
 

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_identification.diagnose.decide import Thresholds
-from vo2_identification.diagnose.evidence import Evidence, gather, side_by_side
+from vo2_identification.diagnose.evidence import Evidence, gather
 from vo2_identification.diagnose.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
 from vo2_identification.diagnose.hypotheses import Hypothesis
 from vo2_identification.diagnose.nominal import Nominal
+from vo2_identification.diagnose.side_by_side import side_by_side
 
 __all__ = ["Option", "bend", "option_of", "pair_of", "trace"]
 

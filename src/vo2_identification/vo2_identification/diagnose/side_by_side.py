@@ -1,0 +1,28 @@
+"""Work that does not depend on each other, on all cores: the compiled simulation and numpy's products hold no lock."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+__all__ = ["side_by_side"]
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+CORES = min(os.cpu_count() or 1, 8)
+
+
+def side_by_side(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """Results of a function for several items, in the items' order; calls may be nested.
+
+    Raises
+    ------
+    what the function raises for the first item that fails; items not begun by then are left out.
+    """
+    several = list(items)
+    if len(several) < 2:
+        return [function(item) for item in several]
+    with ThreadPoolExecutor(max_workers=min(len(several), CORES)) as pool:
+        return list(pool.map(function, several))
