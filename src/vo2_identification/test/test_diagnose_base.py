@@ -7,19 +7,24 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from vo2_identification.diagnose.base import _block_covariance
+from vo2_identification.diagnose.carry import carried, corrected_film
 from vo2_identification.diagnose.evidence import gather
 from vo2_identification.diagnose.explain import fit_jointly, switched
 from vo2_identification.diagnose.hypotheses import Hypothesis
 from vo2_identification.diagnose.locate import breakdown
 from vo2_identification.diagnose.noise import NoiseModel
-from vo2_identification.diagnose.nominal import Nominal, rounded_with_noise
+from vo2_identification.diagnose.nominal import Nominal, basis_of, rounded_with_noise
 from vo2_identification.diagnose.part import prepare
 from vo2_identification.diagnose.side_by_side import side_by_side
 from vo2_identification.diagnose.tangent import Tangent
 from vo2_models.device import DeviceModel
 from vo2_models.device.bank import PlayBank
+from vo2_models.device.coefficients import Sensor, sensor_index
 from vo2_models.effects import effects
-from vo2_models.recording import HEATER_CURRENT, RESISTANCE, Recording
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
+
+BEHIND = ("terminals", "structure", "sensor")
+"""Stages of effects that the film does not feel."""
 
 
 def _model() -> Nominal:
@@ -104,6 +109,34 @@ def test_a_late_sensor_sees_what_happens_between_samples(name, parameter) -> Non
     error = np.abs(found.channels[RESISTANCE] - exact)[100:].max()
     assert error < 0.1 * np.abs(between_samples_only - exact)[100:].max()
     assert error < 0.5 * np.abs(rough - exact)[100:].max()
+
+
+@pytest.mark.parametrize("name", [e.id for e in effects().values() if "integrated" in e.presets])
+def test_what_acts_behind_the_film_may_share_its_simulation(name) -> None:
+    effect = effects()[name]
+    basis, current, dt = basis_of("integrated"), _drive(), 1e-3
+    rng = np.random.default_rng(2)
+    fold = {
+        c: basis.fold(rng.normal(size=basis.columns), span=s)
+        for c, s in ((RESISTANCE, 1), (TIP_DEFLECTION, 5e-5))
+    }
+    model = replace(
+        _model().model, deflection=PlayBank([2e-5], [0.0], [0.2], [-12.4], [0.2], [-11.0], [1e-5, -2e-7])
+    )
+    nominal = replace(_model(), model=model, corrections=fold)
+    nominal.respond(current, dt, fine=False)
+    drawn = effect.draw("integrated", rng)
+    changes = {effect.id: drawn}
+    shared = nominal.respond(current, dt, effects=changes, fine=False)
+    chain = model.simulation.with_effects(changes)
+    for channel in (RESISTANCE, TIP_DEFLECTION):  # a coarse converter is told by its mean
+        chain.coefficients[sensor_index(channel, Sensor.STEP)] = 0.0
+    alone = carried(chain, corrected_film(chain, chain.run(current, dt=dt), dt, fold), dt)
+    if effect.id != "adc_quantization":
+        assert np.array_equal(shared.channels[RESISTANCE], np.log10(alone[:, 1]))
+        assert np.array_equal(shared.channels[TIP_DEFLECTION], alone[:, 2])
+    behind = effect.stage in BEHIND and drawn.get("signal") != HEATER_CURRENT
+    assert nominal._films.cache_info().hits == behind
 
 
 def test_switching_times_are_found_by_search() -> None:

@@ -8,6 +8,8 @@ from device_reference import simulate as reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from vo2_models.device.bank import PlayBank
+from vo2_models.device.chain import COLUMNS
+from vo2_models.device.coefficients import Coefficient
 from vo2_models.device.model import DeviceModel
 from vo2_models.device.plays import bank_output, tanh
 from vo2_models.device.presets import preset
@@ -97,6 +99,24 @@ def test_effect_matches_an_independent_integration(name):
         else:
             assert np.abs(change - expected).max() < 0.04 * size
     assert np.abs(s_reference - s_plain_reference).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    "effects", [{}, {"heater_tcr": {"alpha": 2e-3}}, {"training_drift": {"shift": 0.01}}]
+)
+def test_a_film_is_asked_only_where_it_turns(effects):
+    """The transitions are moved once a sample and at turns; moved at every step, they come out the same."""
+    model = _model("integrated", dead_time={"delay": 2.3e-3}, **effects)
+    simulation, dt, current = model.simulation, 1e-3, _currents("integrated")
+    c, mode = simulation.prepared(dt)
+    c[Coefficient.SUBSTEPS] = 5.0
+    found, expected = (np.empty((current.size, COLUMNS)) for _ in range(2))
+    normals = np.zeros((current.size, 4))
+    simulation.call(c, mode, simulation.initial_state(), current, normals, found)
+    c[Coefficient.KINETICS] = 1e-300  # of a phase that follows at once, but step by step
+    simulation.call(c, mode, simulation.initial_state(), current, normals, expected)
+    assert np.count_nonzero(np.diff(np.sign(np.diff(found[:, 5])))) > 20  # turns between samples, too
+    assert np.allclose(found, expected, rtol=1e-13, atol=1e-20)
 
 
 def test_finer_steps_come_closer_to_the_reference():

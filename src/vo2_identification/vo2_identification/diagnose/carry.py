@@ -2,19 +2,21 @@
 
 The correction belongs to the film: it sees the temperature that the transition sees (with what effects add to
 it), follows as late as the phase does, and passes terminals, structure and sensors. The compiled stages of
-the device do that; nothing is written twice here.
+the device do that; nothing is written twice here. What acts behind the film leaves the film as it was: hypotheses
+about terminals, structure and sensors share one simulation of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from vo2_models.device.chain import _film_deflection, _sense, _structure, _terminal_resistance
-from vo2_models.device.coefficients import CHANNELS
+from vo2_models.device.coefficients import BEHIND_FILM, CHANNELS, Sensor, neutral, sensor_index
 from vo2_models.device.coefficients import Coefficient as C
 from vo2_models.device.core import ENSEMBLE, _count_reversals, output_share
 from vo2_models.device.simulation import Simulation
@@ -22,41 +24,77 @@ from vo2_models.device.state import Slot as S
 from vo2_models.fitting.enrichment import Correction
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
-__all__ = ["carried"]
+__all__ = ["Film", "carried", "corrected_film", "film_alone"]
 
 Floats = NDArray[np.float64]
 _SLOTS = len(S)
+_NEUTRAL = neutral()
+_BEHIND = np.array(
+    [*BEHIND_FILM, *(sensor_index(channel, k) for channel in (RESISTANCE, TIP_DEFLECTION) for k in Sensor)]
+)
 
 
-def carried(
-    simulation: Simulation, current: Floats, out: Floats, dt: float, corrections: Mapping[str, Correction]
-) -> Floats:
-    """Return `out` (n, 9) of `Simulation.run` with the corrections of resistance and deflection in it.
+@dataclass(frozen=True)
+class Film:
+    """A corrected film in one recording: everything that terminals, structure and sensors look at.
+
+    Attributes
+    ----------
+    out : (n, 9) of `Simulation.run`
+    rest : (9,) the same at rest without current
+    added, added_at_rest : (n, 2), (2,) corrections of log10 R and of the deflection [m]
+    """
+
+    out: Floats
+    rest: Floats
+    added: Floats
+    added_at_rest: Floats
+
+
+def film_alone(coefficients: Floats) -> Floats:
+    """The coefficients that decide a `Film`: those of terminals, structure and the two film sensors are neutral."""
+    c = coefficients.copy()
+    c[_BEHIND] = _NEUTRAL[_BEHIND]
+    return c
+
+
+def corrected_film(
+    simulation: Simulation, out: Floats, dt: float, corrections: Mapping[str, Correction]
+) -> Film:
+    """Return the film behind `out` (n, 9) of `Simulation.run`, with corrections.
 
     Parameters
     ----------
-    simulation : with effects; its noise is not added
-    current : (n,) what it was driven with [A]
+    simulation : with effects
     out : as `Simulation.run` gave it
     dt : sample period [s]
     corrections : channel -> correction (of log10 R, and of the deflection [m])
     """
-    c, mode = simulation.prepared(dt)
+    c, _ = simulation.prepared(dt)
     rest = simulation.run(np.zeros(1), dt=dt)[0]
     seen = np.empty((out.shape[0], 2))
     _seen_temperature(
         simulation.kind, c, simulation.packed_r, simulation.packed_d, np.ascontiguousarray(out), seen
     )
-    film = np.zeros((out.shape[0], 2))
+    added = np.zeros((out.shape[0], 2))
     at_rest = np.zeros(2)
     for place, channel in enumerate((RESISTANCE, TIP_DEFLECTION)):
         if channel in corrections:
             path = np.concatenate([rest[5:6], seen[:, place]])
             values = corrections[channel](path)
-            film[:, place] = _late(values, float(c[C.KINETICS]), dt)[1:]
+            added[:, place] = _late(values, float(c[C.KINETICS]), dt)[1:]
             at_rest[place] = values[0]
-    result = out.copy()
-    _finish(simulation.kind, c, mode, simulation.poly_d, dt, rest, at_rest, film, out, result)
+    return Film(out, rest, added, at_rest)
+
+
+def carried(simulation: Simulation, film: Film, dt: float) -> Floats:
+    """Return what `Simulation.run` would give (n, 9) with this film; noise is not added."""
+    c, mode = simulation.prepared(dt)
+    result = film.out.copy()
+    _finish(
+        simulation.kind, c, mode, simulation.poly_d, dt, film.rest, film.added_at_rest, film.added, film.out,
+        result,
+    )  # fmt: skip
     return result
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,9 +136,13 @@ class Evidence:
         """`deviation` of several sets of effects, simulated side by side on the cores."""
         return side_by_side(lambda effects: self.deviation(effects, shift, fine=fine), several)
 
+    def taken(self, against: Floats) -> Floats:
+        """Weights (k,) or (k, p) with which the base absorbs a whitened vector v, from B'v: (B'B + I)^-1 B'v."""
+        return np.asarray(cho_solve(self._factor, against, check_finite=False))  # type: ignore[attr-defined]
+
     def absorb(self, vector: Floats) -> Floats:
         """Weights (k,) with which the base absorbs a whitened vector."""
-        return cho_solve(self._factor, self.base.against(vector))  # type: ignore[attr-defined]
+        return self.taken(self.base.against(vector))
 
     def left(self, vector: Floats) -> Floats:
         """What the base leaves of a whitened vector (or columns): C^-1 v, C the covariance of noise and base."""
@@ -145,20 +150,23 @@ class Evidence:
 
     def left_in(self, rows: slice, columns: Floats) -> Floats:
         """What the base leaves of whitened columns (n, p) of one channel that are zero in all others."""
-        inner = cho_solve(self._factor, self.base.against_rows(rows, columns))  # type: ignore[attr-defined]
+        inner = self.taken(self.base.against_rows(rows, columns))
         return columns - self.base.times_rows(rows, inner)
 
-    def chi_square(self, vector: Floats) -> float:
-        """q of a whitened vector."""
-        inner = self.base.against(vector)
-        return float(vector @ vector - inner @ cho_solve(self._factor, inner))  # type: ignore[attr-defined]
+    @cached_property
+    def q(self) -> float:
+        """q of the residual."""
+        return self.chi_square(self.residual)
+
+    def chi_square(self, vector: Floats, against: Floats | None = None) -> float:
+        """q of a whitened vector v; `against` is B'v where that is known."""
+        inner = self.base.against(vector) if against is None else against
+        return float(vector @ vector - inner @ self.taken(inner))
 
     def chi_squares(self, columns: Floats) -> Floats:
         """q of each of the whitened columns (N, m)."""
         inner = self.base.against(columns)
-        return np.asarray(
-            np.sum(columns**2, axis=0) - np.sum(inner * cho_solve(self._factor, inner), axis=0)  # type: ignore[attr-defined]
-        )
+        return np.asarray(np.sum(columns**2, axis=0) - np.sum(inner * self.taken(inner), axis=0))
 
     def restricted(self, keep: NDArray[np.bool_]) -> Evidence:
         """The same problem with only some samples counting: for a fit that leaves blocks out."""

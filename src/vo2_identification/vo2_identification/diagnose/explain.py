@@ -337,7 +337,6 @@ def fit_jointly(
     )
     problem = _Joint(evidence, tuple(hypotheses), coordinates, tick)
     shift = evidence.origin.copy()
-    q_start = evidence.chi_square(evidence.residual)
     values, change, q = problem.descend(values, shift, iterations)
     for _ in range(2):
         moved = evidence.absorb(evidence.residual - change)[-shift.size :] if shift.size else shift
@@ -367,7 +366,7 @@ def fit_jointly(
         )
     )
     return Explanation(
-        tuple(hypotheses), tuple(values), q, q_start - q, covariance, coordinates, change, problem.tangent,
+        tuple(hypotheses), tuple(values), q, evidence.q - q, covariance, coordinates, change, problem.tangent,
         at_bound, shift,
     )  # fmt: skip
 
@@ -456,9 +455,13 @@ class _Joint:
         end is where no step is expected to lower q by anything that the residual could tell.
         """
         evidence, target = self.evidence, self.evidence.residual
+        base = evidence.base
         values = [dict(v) for v in start]
         change = self.deviation(values, shift)
-        q = q_first = evidence.chi_square(target - change)
+        # what the base makes of a vector v comes from B'v alone, which is followed along: the base is long
+        rest = target - change
+        rest_seen = base.against(rest)
+        q = q_first = evidence.chi_square(rest, rest_seen)
         damping = 1e-3
 
         def matters(drop: float, share: float) -> bool:
@@ -466,11 +469,12 @@ class _Joint:
 
         for _ in range(iterations):
             self.linearise(values, change, shift)
-            left = evidence.left(self.tangent)
+            tangent_seen = base.against(self.tangent)
             q_here, ended = q, False
             for corrected in range(1 + CORRECTED):
-                normal = self.tangent.T @ left
-                right = left.T @ (target - change)
+                taken = evidence.taken(tangent_seen)
+                normal = self.tangent.T @ self.tangent - tangent_seen.T @ taken
+                right = self.tangent.T @ rest - taken.T @ rest_seen
                 free = self._free(values, right)
                 most = float(
                     right[free] @ np.linalg.pinv(normal[np.ix_(free, free)], hermitian=True) @ right[free]
@@ -484,7 +488,9 @@ class _Joint:
                     expected = float(moved @ (2.0 * right - normal @ moved))
                     if expected > 0.0:
                         new = self.deviation(trial, shift)
-                        q_new = evidence.chi_square(target - new)
+                        rest_new = target - new
+                        new_seen = base.against(rest_new)
+                        q_new = evidence.chi_square(rest_new, new_seen)
                         if q_new < q - 1e-6:
                             improved = True
                             break
@@ -492,13 +498,14 @@ class _Joint:
                 if not improved:
                     break
                 drop, unforeseen = q - q_new, new - change - self.tangent @ moved
-                values, change, q = trial, new, q_new
+                unforeseen_seen = rest_seen - new_seen - tangent_seen @ moved
+                values, change, q, rest, rest_seen = trial, new, q_new, rest_new, new_seen
                 damping = max(damping * 0.2, 1e-6)
                 if drop < FORESEEN * expected or not matters(drop, SETTLED):
                     break
                 along = moved / float(moved @ moved)
                 self.tangent = self.tangent + np.outer(unforeseen, along)
-                left = left + np.outer(evidence.left(unforeseen), along)
+                tangent_seen = tangent_seen + np.outer(unforeseen_seen, along)
             if ended or not matters(q_here - q, SETTLED):
                 break
         return values, change, q

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ from vo2_models.recording import (
     Recording,
 )
 
-from vo2_identification.diagnose.carry import carried
+from vo2_identification.diagnose.carry import Film, carried, corrected_film, film_alone
 from vo2_identification.diagnose.noise import NoiseModel
 
 __all__ = [
@@ -47,6 +48,8 @@ MOVED = 5.0
 """Move of a thermal parameter, in standard deviations, that may hide an effect."""
 TONES = 40
 """Tones of a staircase that are kept."""
+FILMS = 8
+"""Simulations of the film that are kept: hypotheses about what is behind it ask for the same ones again."""
 FINE = 4
 """Steps of a sample where it counts what happens in between."""
 THERMAL = {
@@ -182,6 +185,19 @@ class Nominal:
             np.abs(values) * level * np.log(10.0) if channel == RESISTANCE else np.full(values.shape, level)
         )
 
+    @cached_property
+    def _films(self) -> Callable[[bytes, bytes, float], Film]:
+        """Corrected film for coefficients, current [A] and sample period [s], the last few kept."""
+        plain, corrections = self.model.simulation, self.corrections
+
+        @lru_cache(maxsize=FILMS)
+        def film(coefficients: bytes, current: bytes, dt: float) -> Film:
+            chain = replace(plain, coefficients=np.frombuffer(coefficients).copy())
+            out = _bounded(chain.run(np.frombuffer(current).copy(), dt=dt))
+            return corrected_film(chain, out, dt, corrections)
+
+        return film
+
     def respond(
         self,
         current: Floats,
@@ -219,9 +235,11 @@ class Nominal:
         if steps > 1:
             current, dt = np.repeat(current, steps), dt / steps
         # a candidate may drive the simulation out of anything physical: it must only look very wrong
-        out = _bounded(chain.run(current, dt=dt))
         if self.corrections:
-            out = _bounded(carried(chain, current, out, dt, self.corrections))
+            alone = film_alone(chain.coefficients)
+            out = _finite(carried(chain, self._films(alone.tobytes(), current.tobytes(), dt), dt))
+        else:
+            out = _bounded(chain.run(current, dt=dt))
         out = out[steps - 1 :: steps]
         film = out[:, 5].clip(-1e4, 1e4)
         found = {}
@@ -309,9 +327,16 @@ def span_of(device: str) -> dict[str, float]:
     }
 
 
-def _bounded(out: Floats) -> Floats:
-    if not float(np.max(np.abs(out), initial=0.0)) < 1e9:  # not a number, too
+def _finite(out: Floats) -> Floats:
+    if not (
+        float(np.min(out, initial=0.0)) > -1e9 and float(np.max(out, initial=0.0)) < 1e9
+    ):  # not a number, too
         out = np.nan_to_num(out, nan=1e9, posinf=1e9, neginf=-1e9).clip(-1e9, 1e9)
+    return out
+
+
+def _bounded(out: Floats) -> Floats:
+    out = _finite(out)
     np.clip(out[:, 5], -1e3, 1e4, out=out[:, 5])
     np.clip(out[:, 7:9], -1e3, 1e3, out=out[:, 7:9])
     return out

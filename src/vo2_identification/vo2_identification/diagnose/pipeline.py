@@ -171,7 +171,7 @@ def study(
     evidence = _settled_thermal(nominal, evidence, clock)
     nominal, evidence = _recoloured(nominal, evidence, clock)
     evidence = _settled_thermal(nominal, evidence, clock)
-    q = evidence.chi_square(evidence.residual)
+    q = evidence.q
     left = evidence.left(evidence.residual)
     excess, total = _excess(evidence, left, q)
     base = Study(
@@ -277,7 +277,7 @@ def _settled_thermal(nominal: Nominal, evidence: Evidence, clock: _Clock, *, rou
         moved = gather(
             nominal, evidence.parts, shift=shift, shapes=evidence.shapes, loops=evidence.loops, say=clock.say
         )
-        if moved.chi_square(moved.residual) >= evidence.chi_square(evidence.residual) - 10.0:
+        if moved.q >= evidence.q - 10.0:
             break
         evidence = moved
     return evidence
@@ -350,7 +350,7 @@ def _explained(base: Study, clock: _Clock) -> Study:
     scored = [score(problem, candidates, problem.residual, tick=clock.tick) for problem in problems]
     scores = scored[0]
     clock.say("refitting the most promising")
-    q_base = evidence.chi_square(evidence.residual)
+    q_base = evidence.q
     promising = [
         (problem, s)
         for problem, ranked in zip(problems, scored, strict=True)

@@ -120,7 +120,7 @@ def _about(
         loops=evidence.loops,
     )
     again = fit_jointly(final, best.hypotheses, best.values, iterations=6, tick=tick)
-    return final, replace(again, gain=evidence.chi_square(evidence.residual) - again.chi_square)
+    return final, replace(again, gain=evidence.q - again.chi_square)
 
 
 def pair_of(

@@ -17,7 +17,7 @@ from vo2_models.device.borrow import borrow
 from vo2_models.device.coefficients import PER_CHANNEL
 from vo2_models.device.coefficients import Coefficient as C
 from vo2_models.device.coefficients import Sensor as N
-from vo2_models.device.core import ENSEMBLE, advance, initial_transitions, output_share
+from vo2_models.device.core import ENSEMBLE, advance, follow, follows, initial_transitions, output_share, warm
 from vo2_models.device.laws import polynomial, truth_deflection, truth_resistance
 from vo2_models.device.state import CURRENT_LINE, SENSOR_LINE
 from vo2_models.device.state import Slot as S
@@ -178,6 +178,7 @@ def _compiled(version: str) -> Any:
                 sensor_lines[channel, :] = sensors[channel, 0]
         whole = int(c[C.DEAD_TIME] / period)
         part = c[C.DEAD_TIME] - whole * period
+        lazy = follows(kind, c)
         for k in range(command.size):
             sample = int(x[S.SAMPLE])
             time = sample * period
@@ -187,17 +188,27 @@ def _compiled(version: str) -> Any:
             current_in = line[(sample - whole - 1) & _LINE]
             h = part / parts
             start = time - period
+            before = play_r[0]
             for j in range(0 if part > 0.0 else parts, 2 * parts):
                 if j == parts:
                     current_in = line[(sample - whole) & _LINE]
                     h = (period - part) / parts
                     start = time - period + part - parts * h
+                if lazy:
+                    seen = warm(c, x, current_in, h, start + j * h)
+                    # on its way up or down the film passes what it need not be asked about; a turn it remembers
+                    if (before - play_r[0]) * (seen - before) < 0.0:
+                        follow(c, x, before, packed_r, packed_d, play_r, play_d)
+                    before = seen
+                    continue
                 advance(
                     kind, c, x, current_in, h, start + j * h, packed_r, packed_d, play_r, play_d, levels, domains,
                     metallic,
                 )  # fmt: skip
                 if c[C.SENSE] != 0.0 or c[C.SENSE_FILM] != 0.0:
                     x[S.RESISTANCE] = _film_resistance(kind, c, x, poly_r)
+            if lazy:
+                follow(c, x, before, packed_r, packed_d, play_r, play_d)
             film = _film_resistance(kind, c, x, poly_r)
             x[S.RESISTANCE] = film
             tip = _structure(c, x, mode, _film_deflection(kind, c, x, poly_d), period)

@@ -14,7 +14,17 @@ from numpy.typing import NDArray
 
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
-__all__ = ["CHANNELS", "FEEDBACK", "HUGE", "PER_CHANNEL", "Coefficient", "Sensor", "neutral", "sensor_index"]
+__all__ = [
+    "BEHIND_FILM",
+    "CHANNELS",
+    "FEEDBACK",
+    "HUGE",
+    "PER_CHANNEL",
+    "Coefficient",
+    "Sensor",
+    "neutral",
+    "sensor_index",
+]
 
 HUGE = 1e12
 """Stands for "no limit" in a coefficient (a model file holds finite numbers only)."""
@@ -168,6 +178,10 @@ FEEDBACK = (
     Coefficient.SLOW_SHARE,
 )
 """Coefficients that, when not zero, make the exact one-step solution of the linear thermal model insufficient."""
+
+
+BEHIND_FILM = tuple(Coefficient)[Coefficient.SERIES : Coefficient.MODE_DAMPING + 1]
+"""Coefficients of terminals and structure: the film, its temperature and its phase do not feel them."""
 
 
 def sensor_index(channel: str, coefficient: Sensor) -> int:

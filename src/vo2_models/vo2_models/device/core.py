@@ -26,9 +26,12 @@ __all__ = [
     "PLAYS",
     "advance",
     "ambient",
+    "follow",
+    "follows",
     "initial_transitions",
     "leading",
     "output_share",
+    "warm",
 ]
 
 PLAYS, ENSEMBLE = 0, 1
@@ -294,39 +297,86 @@ def _solve_latent(
 
 
 @njit(cache=True, error_model="numpy")
+def _film_extra(c, x, time):
+    """How far the film is above its stage [K]."""
+    extra = c[C.SENSE_FILM] * x[S.RESISTANCE]
+    if _laser_on(c, time):
+        extra += c[C.LASER_FILM]
+    return extra
+
+
+@njit(cache=True, error_model="numpy")
+def _bring(c, x, fast, background, film_extra):
+    """Bring the film to where the fast mode is at `fast`; return what the transitions see of it [degC]."""
+    # stage rise = (1 - share + gain) fast rise + share slow; the film sits a little above its stage
+    share = c[C.SLOW_SHARE]
+    x[S.FAST] = fast
+    x[S.STAGE] = fast + (c[C.SLOW_GAIN] - share) * (fast - background) + share * x[S.SLOW]
+    film = x[S.STAGE] + film_extra
+    x[S.FILM] = film
+    if c[C.TRAINING] != 0.0:
+        _count_reversals(c, x, film)
+    return film + c[C.TRAINING] * x[S.REVERSALS]
+
+
+@njit(cache=True, error_model="numpy")
+def follows(kind, c):
+    """Whether the transitions only follow the film: nothing but their last input and the turns on the way decides."""
+    return kind == PLAYS and (
+        c[C.LATENT] == 0.0
+        and c[C.PHASE_LOSS] == 0.0
+        and c[C.SENSE] == 0.0
+        and c[C.SENSE_FILM] == 0.0
+        and c[C.INCONGRUENCY] == 0.0
+        and c[C.KINETICS] == 0.0
+        and c[C.RELAXATION] == 0.0
+        and c[C.REVERSIBLE] == 0.0
+        and c[C.REVERSIBLE_SHARE] == 0.0
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def warm(c, x, current, h, time):
+    """Advance the temperature alone by h [s]; return what the transitions see of it [degC]. For devices that `follow`."""
+    background = ambient(c, time)
+    fast = x[S.FAST] + _heat(c, x, current, h, time, background)
+    return _bring(c, x, fast, background, _film_extra(c, x, time))
+
+
+@njit(cache=True, error_model="numpy")
+def follow(c, x, effective, packed_r, packed_d, play_r, play_d):
+    """Bring the transitions to an input [degC]. For devices that `follow`."""
+    x[S.RAW_R] = bank_output(effective, packed_r, play_r, True)
+    x[S.RAW_D] = bank_output(effective + c[C.TRANSITION_OFFSET], packed_d, play_d, True)
+    x[S.EQUILIBRIUM_R] = x[S.RAW_R]
+    x[S.EQUILIBRIUM_D] = x[S.RAW_D]
+    x[S.OUT_R] = x[S.RAW_R]
+    x[S.OUT_D] = x[S.RAW_D]
+
+
+@njit(cache=True, error_model="numpy")
 def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, levels, domains, metallic):
     """Advance temperature and transitions by h [s] under a held current [A]; `time` [s] at the start."""
     lead = leading(kind, c, packed_r, packed_d)
     s = x[S.FRACTION]
     background = ambient(c, time)
     heat = _heat(c, x, current, h, time, background) + x[S.CARRY]
-    film_extra = c[C.SENSE_FILM] * x[S.RESISTANCE]
-    if _laser_on(c, time):
-        film_extra += c[C.LASER_FILM]
-    shift = c[C.TRAINING] * x[S.REVERSALS]
+    film_extra = _film_extra(c, x, time)
     ramp = 0.0
     if c[C.KINETICS] > 0.0:
         ramp = -math.expm1(-h / c[C.KINETICS]) * c[C.KINETICS] / h
-    # stage rise = (1 - share + gain) fast rise + share slow; the film sits a little above its stage
-    share = c[C.SLOW_SHARE]
-    kept = 1.0 - share + c[C.SLOW_GAIN]
     before = x[S.FAST]
     fast = before + heat
     if c[C.LATENT] != 0.0:
-        rest = share * x[S.SLOW] + (1.0 - kept) * background + film_extra + shift
+        kept = 1.0 - c[C.SLOW_SHARE] + c[C.SLOW_GAIN]
+        rest = c[C.SLOW_SHARE] * x[S.SLOW] + (1.0 - kept) * background + film_extra
+        rest += c[C.TRAINING] * x[S.REVERSALS]
         fast = _solve_latent(
             kind, lead, c, x, heat, ramp, kept, rest, packed_r, packed_d, play_r, play_d, levels, domains,
             metallic,
         )  # fmt: skip
-    x[S.FAST] = fast
-    x[S.STAGE] = fast + (kept - 1.0) * (fast - background) + share * x[S.SLOW]
-    film = x[S.STAGE] + film_extra
-    x[S.FILM] = film
-    if c[C.TRAINING] != 0.0:
-        _count_reversals(c, x, film)
-        shift = c[C.TRAINING] * x[S.REVERSALS]
+    effective = _bring(c, x, fast, background, film_extra)
     # --- transitions
-    effective = film + shift
     effective_d = effective
     if c[C.INCONGRUENCY] != 0.0:
         seen = effective
@@ -349,7 +399,7 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
     x[S.OUT_R] = followed_r
     x[S.OUT_D] = followed_d
     if c[C.RELAXATION] != 0.0 or c[C.REVERSIBLE] != 0.0 or c[C.REVERSIBLE_SHARE] != 0.0:
-        _add_reversible(kind, c, x, film, effective, effective_d, h, packed_r, packed_d, levels)
+        _add_reversible(kind, c, x, x[S.FILM], effective, effective_d, h, packed_r, packed_d, levels)
     if c[C.FEEDBACK] != 0.0:
         x[S.FRACTION] = output_share(kind, lead, x[S.OUT_R + lead], c)
         x[S.LAST_CHANGE] = x[S.FRACTION] - s

@@ -39,7 +39,8 @@ DEEPEST = 512
 def cubic_spline(knots: Floats, x: Floats) -> Floats:
     """Values of the uniform cubic B-splines centred at `knots` (m,): shape of x with (m,) appended."""
     u = np.abs((np.asarray(x)[..., None] - knots) / (knots[1] - knots[0]))
-    return np.where(u < 1, 2 / 3 - u**2 + u**3 / 2, np.where(u < 2, (2 - u) ** 3 / 6, 0.0))
+    v = np.maximum(2.0 - u, 0.0)
+    return np.where(u < 1, 2 / 3 - u * u * (1.0 - 0.5 * u), v * v * v / 6)
 
 
 def everett_table(centre: Floats, half_width: Floats, walls: Floats) -> Floats:

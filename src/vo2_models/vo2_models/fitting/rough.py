@@ -29,7 +29,7 @@ def _move(x, last, p):
                     p[i, j] = c
     elif x < last:
         first, final = int(np.floor(x)), int(np.floor(last))
-        for i in range(rows):
+        for i in range(max(first + 1, 0), min(final + widths, rows - 1) + 1):
             for j in range(max(i - 1 - final, 0), min(i - 1 - first, widths - 1) + 1):
                 c = min(max(x - (i - 1 - j), 0.0), 1.0)
                 if p[i, j] > c:
@@ -66,7 +66,7 @@ def _sum(temperature, low, step, weights, out):
                         p[i, j] = c
         elif x < last:
             first, final = int(np.floor(x)), int(np.floor(last))
-            for i in range(rows):
+            for i in range(max(first + 1, 0), min(final + widths, rows - 1) + 1):
                 for j in range(max(i - 1 - final, 0), min(i - 1 - first, widths - 1) + 1):
                     c = min(max(x - (i - 1 - j), 0.0), 1.0)
                     if p[i, j] > c:
