@@ -13,6 +13,7 @@ from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
 from vo2_identification.diagnose.noise import NoiseModel
 from vo2_identification.diagnose.nominal import Nominal, basis_of
+from vo2_identification.diagnose.side_by_side import side_by_side
 
 __all__ = ["LoopShape", "covered_range", "loop_shapes", "thermal_spread"]
 
@@ -69,51 +70,50 @@ def loop_shapes(nominal: Nominal) -> dict[str, LoopShape]:
     The number of domains and the roughness are those of highest marginal likelihood. Without a digest the
     prior alone stands, which forgives ten per cent of the loop's shape.
     """
-    found = {}
-    for channel, present in (
-        (RESISTANCE, nominal.model.resistance.present),
-        (TIP_DEFLECTION, nominal.model.deflection.present),
-    ):
-        if not present:
-            continue
-        basis, span = basis_of(nominal.device), nominal.span[channel]
-        digest = nominal.digest
-        if digest is None:
-            found[channel] = LoopShape(basis, span, np.zeros(basis.columns), np.eye(basis.columns), 0.0)
-            continue
-        noise = nominal.noise[channel]
-        target = digest.log_resistance if channel == RESISTANCE else digest.deflection
-        features = digest.features(basis, span=span)
-        covariance = _block_covariance(noise, digest.count)
-        covariance[0, digest.count <= 0.0] = 1e8 * noise.level**2
-        middle = 0.5 * (digest.temperature[1:] + digest.temperature[:-1])
-        inside = (middle > basis.centre_degc[0]) & (middle < basis.centre_degc[1])
-        best: tuple[float, LoopShape] | None = None
-        for roughness in ROUGHNESS:
-            spread = covariance.copy()
-            spread[0] += np.where(inside, (roughness * noise.level) ** 2, 0.0)
-            root = cholesky_banded(spread, lower=True)
-            weighted = solve_banded((root.shape[0] - 1, 0), root, np.column_stack([features, target]))
-            weighted, aim = weighted[:, :-1], weighted[:, -1]
-            gram, right = weighted.T @ weighted, weighted.T @ aim
-            energy = float(aim @ aim + 2.0 * np.sum(np.log(root[0])))
-            for domains in DOMAINS:
-                scale = np.ones(basis.columns)
-                scale[basis.groups["scatter"]] = np.sqrt(basis.domains / domains)
-                precision = gram * np.outer(scale, scale)
-                precision[np.diag_indices_from(precision)] += 1.0
-                factor = cholesky(precision, lower=True, check_finite=False)
-                half = solve_triangular(factor, scale * right, lower=True, check_finite=False)
-                score = -0.5 * (energy - half @ half) - float(np.sum(np.log(np.diag(factor))))
-                if best is None or score > best[0]:
-                    mean = solve_triangular(factor, half, lower=True, trans="T", check_finite=False)
-                    shape = LoopShape(
-                        replace(basis, domains=domains), span, mean, factor, roughness * noise.level
-                    )
-                    best = (score, shape)
-        assert best is not None
-        found[channel] = best[1]
-    return found
+    laws = {RESISTANCE: nominal.model.resistance.present, TIP_DEFLECTION: nominal.model.deflection.present}
+    present = [channel for channel, known in laws.items() if known]
+    return dict(
+        zip(present, side_by_side(lambda channel: _loop_shape(nominal, channel), present), strict=True)
+    )
+
+
+def _loop_shape(nominal: Nominal, channel: str) -> LoopShape:
+    basis, span = basis_of(nominal.device), nominal.span[channel]
+    digest = nominal.digest
+    if digest is None:
+        return LoopShape(basis, span, np.zeros(basis.columns), np.eye(basis.columns), 0.0)
+    noise = nominal.noise[channel]
+    target = digest.log_resistance if channel == RESISTANCE else digest.deflection
+    features = digest.features(basis, span=span)
+    covariance = _block_covariance(noise, digest.count)
+    covariance[0, digest.count <= 0.0] = 1e8 * noise.level**2
+    middle = 0.5 * (digest.temperature[1:] + digest.temperature[:-1])
+    inside = (middle > basis.centre_degc[0]) & (middle < basis.centre_degc[1])
+    best: tuple[float, LoopShape] | None = None
+    for roughness in ROUGHNESS:
+        spread = covariance.copy()
+        spread[0] += np.where(inside, (roughness * noise.level) ** 2, 0.0)
+        root = cholesky_banded(spread, lower=True)
+        weighted = solve_banded((root.shape[0] - 1, 0), root, np.column_stack([features, target]))
+        weighted, aim = weighted[:, :-1], weighted[:, -1]
+        gram, right = weighted.T @ weighted, weighted.T @ aim
+        energy = float(aim @ aim + 2.0 * np.sum(np.log(root[0])))
+        for domains in DOMAINS:
+            scale = np.ones(basis.columns)
+            scale[basis.groups["scatter"]] = np.sqrt(basis.domains / domains)
+            precision = gram * np.outer(scale, scale)
+            precision[np.diag_indices_from(precision)] += 1.0
+            factor = cholesky(precision, lower=True, check_finite=False)
+            half = solve_triangular(factor, scale * right, lower=True, check_finite=False)
+            score = -0.5 * (energy - half @ half) - float(np.sum(np.log(np.diag(factor))))
+            if best is None or score > best[0]:
+                mean = solve_triangular(factor, half, lower=True, trans="T", check_finite=False)
+                shape = LoopShape(
+                    replace(basis, domains=domains), span, mean, factor, roughness * noise.level
+                )
+                best = (score, shape)
+    assert best is not None
+    return best[1]
 
 
 def covered_range(nominal: Nominal, *, samples: float = 8.0) -> tuple[float, float]:

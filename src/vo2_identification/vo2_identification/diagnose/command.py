@@ -6,6 +6,8 @@ import argparse
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -90,7 +92,6 @@ def diagnose_bags(
     """
     from vo2_identification.bags import read_recording
     from vo2_identification.bags.problems import in_few_lines
-    from vo2_identification.diagnose.files import write_results
     from vo2_identification.diagnose.pipeline import study
 
     began = time.perf_counter()
@@ -99,9 +100,13 @@ def diagnose_bags(
         recording, found = read_recording(bag)
         recordings.append(recording)
         problems += [f"{bag}: {problem}" for problem in in_few_lines(found)]
-    with _Progress(quiet=quiet) as progress:
+    with _Progress(quiet=quiet) as progress, ThreadPoolExecutor(1) as beside:
+        files = beside.submit(
+            import_module, "vo2_identification.diagnose.files"
+        )  # what draws takes a while to load
         result = study(recordings, parameters, progress=progress, names=[str(bag) for bag in bags])
-        diagnosis = write_results(result, output, problems=problems, seconds=time.perf_counter() - began)
+        spent = time.perf_counter() - began
+        diagnosis: Diagnosis = files.result().write_results(result, output, problems=problems, seconds=spent)
     print(diagnosis.summary)
     print(f"report: {output / 'report.html'}", flush=True)
     return diagnosis

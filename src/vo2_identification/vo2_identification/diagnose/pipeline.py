@@ -22,8 +22,8 @@ from vo2_identification.diagnose.hypotheses import Hypothesis, hypotheses
 from vo2_identification.diagnose.locate import Breakdown, breakdown
 from vo2_identification.diagnose.next_experiment import by_hand, propose
 from vo2_identification.diagnose.noise import fit_noise
-from vo2_identification.diagnose.nominal import MOVED, Nominal, loop_ends
-from vo2_identification.diagnose.part import prepare
+from vo2_identification.diagnose.nominal import MOVED, Nominal, Response, loop_ends
+from vo2_identification.diagnose.part import Part, prepare
 from vo2_identification.diagnose.result import Diagnosis, NextExperiment
 from vo2_identification.diagnose.several import Option, bend, option_of, pair_of, trace
 from vo2_identification.diagnose.side_by_side import side_by_side
@@ -164,10 +164,16 @@ def study(
         name = names[number - 1] if names else f"recording {number}"
         findings += check_recording(recording, nominal, name=name)
         parts.append(prepare(recording, nominal, name=name))
-    evidence = gather(nominal, parts, say=clock.say)
-    evidence = _started(evidence, nominal, clock)
-    evidence = _remembered(evidence, nominal, findings, clock)
-    evidence = _covered(evidence, nominal, findings, clock)
+    clock.say("simulating the recordings")
+    shapes = loop_shapes(nominal)
+    started = [
+        _started(part, replace(nominal, corrections={c: s.fold() for c, s in shapes.items()}))
+        for part in parts
+    ]
+    parts, findings = _remembered(started, nominal, findings)
+    paths = [response.temperature for _, response in started]
+    parts, findings = _covered(parts, paths, nominal, tuple(shapes), findings)
+    evidence = gather(nominal, parts, shapes=shapes, say=clock.say)
     evidence = _settled_thermal(nominal, evidence, clock)
     nominal, evidence = _recoloured(nominal, evidence, clock)
     evidence = _settled_thermal(nominal, evidence, clock)
@@ -181,38 +187,31 @@ def study(
     return replace(_explained(base, clock), seconds=time.perf_counter() - began)
 
 
-def _started(evidence: Evidence, nominal: Nominal, clock: _Clock) -> Evidence:
+def _started(part: Part, nominal: Nominal) -> tuple[Part, Response]:
     """Take a recording as begun at its first current where that fits its first samples far better than a cold start."""
-    parts = list(evidence.parts)
-    for index, part in enumerate(parts):
-        tau = evidence.nominal.model.scalars["thermal.time_constant"]
-        first = int(np.clip(np.ceil(5 * tau / part.dt), 3, part.size // 10))
-        cold = evidence.nominal_responses[index]
-        warm = evidence.nominal.respond(
-            part.current, part.dt, thermal=evidence.moved(evidence.origin), settled=True
-        )
-        misses = []
-        for response in (cold, warm):
-            miss = 0.0
-            for channel in part.channels:
-                noise = evidence.nominal.noise[channel].level
-                gap = (part.observed[channel] - response.channels[channel])[:first][
-                    part.valid[channel][:first]
-                ]
-                miss += float(np.sum(np.minimum((gap / noise) ** 2, 1e6)))
-            misses.append(miss)
-        if misses[1] < 0.2 * misses[0] - 100:
-            parts[index] = replace(part, settled=True)
-    if all(new is old for new, old in zip(parts, evidence.parts, strict=True)):
-        return evidence
-    return gather(nominal, parts, shapes=evidence.shapes, say=clock.say)
+    tau = nominal.model.scalars["thermal.time_constant"]
+    first = int(np.clip(np.ceil(5 * tau / part.dt), 3, part.size // 10))
+    cold, warm = (nominal.respond(part.current, part.dt, settled=settled) for settled in (False, True))
+    misses = []
+    for response in (cold, warm):
+        miss = 0.0
+        for channel in part.channels:
+            noise = nominal.noise[channel].level
+            gap = (part.observed[channel] - response.channels[channel])[:first][part.valid[channel][:first]]
+            miss += float(np.sum(np.minimum((gap / noise) ** 2, 1e6)))
+        misses.append(miss)
+    if misses[1] < 0.2 * misses[0] - 100:
+        return replace(part, settled=True), warm
+    return part, cold
 
 
-def _remembered(evidence: Evidence, nominal: Nominal, findings: list[Finding], clock: _Clock) -> Evidence:
+def _remembered(
+    started: Sequence[tuple[Part, Response]], nominal: Nominal, findings: Sequence[Finding]
+) -> tuple[list[Part], list[Finding]]:
     """Leave out what follows a long gap until the loops have forgotten it: until the film was outside of them."""
     low, high = loop_ends(nominal.device)
     parts, lost, count = [], 0, 0
-    for part, response in zip(evidence.parts, evidence.nominal_responses, strict=True):
+    for part, response in started:
         known = np.ones(part.size, dtype=bool)
         outside = np.flatnonzero((response.temperature < low) | (response.temperature > high))
         settling = int(np.ceil(8 * nominal.model.scalars["thermal.time_constant"] / part.dt))
@@ -222,49 +221,48 @@ def _remembered(evidence: Evidence, nominal: Nominal, findings: list[Finding], c
         parts.append(replace(part, valid={c: good & known for c, good in part.valid.items()}))
         lost, count = lost + int(np.count_nonzero(~known)), count + part.size
     if not lost:
-        return evidence
+        return parts, list(findings)
     if lost > 0.7 * count:
         raise Unusable(
             f"recordings: after gaps the state of the loops is unknown for {lost} of {count} samples; record without "
             "gaps, or give the pieces between them as recordings of their own"
         )
-    findings.append(
-        Finding(
-            "forgotten",
-            f"{100 * lost / count:.1f} % of the samples lie in or after long gaps, before the film left the loops: "
-            "they are not judged",
-        )
+    forgotten = Finding(
+        "forgotten",
+        f"{100 * lost / count:.1f} % of the samples lie in or after long gaps, before the film left the loops: "
+        "they are not judged",
     )
-    return gather(nominal, parts, shapes=evidence.shapes, say=clock.say)
+    return parts, [*findings, forgotten]
 
 
-def _covered(evidence: Evidence, nominal: Nominal, findings: list[Finding], clock: _Clock) -> Evidence:
-    """Leave out what happens at temperatures that the calibration did not cover."""
+def _covered(
+    given: Sequence[Part],
+    paths: Sequence[Floats],
+    nominal: Nominal,
+    channels: Sequence[str],
+    findings: Sequence[Finding],
+) -> tuple[list[Part], list[Finding]]:
+    """Leave out of these channels what happens at temperatures (n,) [degC] that the calibration did not cover."""
     low, high = covered_range(nominal)
     parts, beyond, count = [], 0, 0
-    for part, response in zip(evidence.parts, evidence.nominal_responses, strict=True):
-        inside = (response.temperature >= low) & (response.temperature <= high)
+    for part, path in zip(given, paths, strict=True):
+        inside = (path >= low) & (path <= high)
         beyond, count = beyond + int(np.count_nonzero(~inside)), count + part.size
-        valid = {
-            channel: good & inside if channel in evidence.shapes else good
-            for channel, good in part.valid.items()
-        }
+        valid = {c: good & inside if c in channels else good for c, good in part.valid.items()}
         parts.append(replace(part, valid=valid))
     if not beyond:
-        return evidence
+        return parts, list(findings)
     if count - beyond < 100:
         raise Unusable(
             f"recordings: {beyond} of {count} samples are outside of {low:.0f} to {high:.0f} degC, which is what the "
             "calibration covers; fit a calibration that covers them"
         )
-    findings.append(
-        Finding(
-            "beyond",
-            f"{100 * beyond / count:.1f} % of the samples are at temperatures outside of {low:.0f} to {high:.0f} degC, "
-            "which the calibration hardly covers: they are not judged",
-        )
+    uncovered = Finding(
+        "beyond",
+        f"{100 * beyond / count:.1f} % of the samples are at temperatures outside of {low:.0f} to {high:.0f} degC, "
+        "which the calibration hardly covers: they are not judged",
     )
-    return gather(nominal, parts, shapes=evidence.shapes, say=clock.say)
+    return parts, [*findings, uncovered]
 
 
 def _settled_thermal(nominal: Nominal, evidence: Evidence, clock: _Clock, *, rounds: int = 3) -> Evidence:
