@@ -139,6 +139,40 @@ def test_what_acts_behind_the_film_may_share_its_simulation(name) -> None:
     assert nominal._films.cache_info().hits == behind
 
 
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {},
+        {"cantilever_resonance": {"share": 1.0, "frequency": 60.0, "damping": 0.01}},
+        {"creep": {"share": 0.3, "time_constant": 0.1}},
+    ],
+)
+def test_the_tangent_of_the_loop_is_what_a_changed_loop_changes(effects) -> None:
+    model = replace(
+        _model().model, deflection=PlayBank([2e-5], [0.0], [0.2], [-12.4], [0.2], [-11.0], [1e-5, -2e-7])
+    )
+    noise = {RESISTANCE: NoiseModel(1e-3), TIP_DEFLECTION: NoiseModel(1e-8)}
+    nominal, current, dt = replace(_model(), model=model, noise=noise), _drive(), 1e-3
+    shown = nominal.respond(current, dt).channels
+    time = dt * np.arange(current.size)
+    channels = {
+        HEATER_CURRENT: current,
+        RESISTANCE: 10.0 ** shown[RESISTANCE],
+        TIP_DEFLECTION: shown[TIP_DEFLECTION],
+    }
+    parts = [prepare(Recording(time, channels, "integrated"), nominal)]
+    evidence = gather(nominal, parts, effects=effects)
+    for place, channel in enumerate((RESISTANCE, TIP_DEFLECTION)):
+        shape, loop = evidence.shapes[channel], evidence.loops[channel]
+        moved = replace(shape, mean=shape.mean + 0.1 * loop.directions[:, -1])
+        changed = gather(
+            nominal, parts, effects=effects, shapes={**evidence.shapes, channel: moved}, loops=evidence.loops
+        )
+        rows, block = evidence.base.blocks[place]
+        change = evidence.residual[rows] - changed.residual[rows]
+        assert np.linalg.norm(change - 0.1 * block[:, -1]) < 0.01 * np.linalg.norm(change)
+
+
 def test_switching_times_are_found_by_search() -> None:
     nominal, current, dt = _model(), _drive(3000), 1e-3
     nominal = replace(nominal, noise={RESISTANCE: NoiseModel(1e-3)})

@@ -24,7 +24,7 @@ from vo2_models.device.state import Slot as S
 from vo2_models.fitting.enrichment import Correction
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
-__all__ = ["Film", "carried", "corrected_film", "film_alone"]
+__all__ = ["Film", "carried", "corrected_film", "film_alone", "through_structure"]
 
 Floats = NDArray[np.float64]
 _SLOTS = len(S)
@@ -98,6 +98,23 @@ def carried(simulation: Simulation, film: Film, dt: float) -> Floats:
     return result
 
 
+def through_structure(simulation: Simulation, columns: Floats, dt: float) -> Floats:
+    """Return deflections (n, k) [m] as they are behind the structure: a creeping one, or one with a mode, keeps them on.
+
+    Parameters
+    ----------
+    simulation : with effects
+    columns : (n, k) one deflection a column, from a long rest [m]
+    dt : sample period [s]
+    """
+    c, mode = simulation.prepared(dt)
+    if c[C.CREEP] == 0.0 and c[C.MODE_SHARE] == 0.0:
+        return columns
+    out = np.ascontiguousarray(columns.T)
+    _behind_structure(c, mode, dt, out)
+    return np.ascontiguousarray(out.T)
+
+
 def _late(values: Floats, constant: float, dt: float) -> Floats:
     """First-order lag, exact for values that move linearly between samples."""
     if constant <= 0.0:
@@ -128,6 +145,18 @@ def _seen_temperature(kind, c, packed_r, packed_d, out, seen):
                     seen[k, which] += c[C.INCONGRUENCY] * (
                         output_share(kind, which, out[k, 7 + which], c) - 0.5
                     )
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _behind_structure(c, mode, period, series):
+    """Replace each deflection (k, n) by what the structure makes of it."""
+    for j in range(series.shape[0]):
+        x = np.zeros(_SLOTS)
+        x[S.CREPT] = series[j, 0]
+        x[S.MODE] = series[j, 0]
+        x[S.MODE_INPUT] = series[j, 0]
+        for k in range(series.shape[1]):
+            series[j, k] = _structure(c, x, mode, series[j, k], period)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

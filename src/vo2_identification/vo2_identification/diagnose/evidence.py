@@ -19,8 +19,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
+from vo2_models.recording import TIP_DEFLECTION
 
 from vo2_identification.diagnose.base import LoopShape, loop_shapes, thermal_spread
+from vo2_identification.diagnose.carry import through_structure
 from vo2_identification.diagnose.nominal import Nominal, Response
 from vo2_identification.diagnose.part import Part
 from vo2_identification.diagnose.side_by_side import side_by_side
@@ -241,7 +243,7 @@ def gather(
         residual[row.where] = noise.whiten(np.where(counts, measured - predicted, 0.0))
     residual *= weight
     kept = _loop_columns(shapes, rows, responses, corrected, weight, loops or {})
-    blocks = _whitened(kept, rows, corrected, weight)
+    blocks = _whitened(kept, rows, parts, corrected, effects or {}, weight)
     partial = Evidence(
         corrected, origin, tuple(parts), tuple(rows), weight, tuple(responses), residual,
         Tangent((), np.zeros((end, 0))), (), (), dict(effects or {}), shapes, kept,
@@ -333,16 +335,24 @@ def _loop_columns(
 
 
 def _whitened(
-    loops: Mapping[str, LoopColumns], rows: Sequence[Row], nominal: Nominal, weight: Floats
+    loops: Mapping[str, LoopColumns],
+    rows: Sequence[Row],
+    parts: Sequence[Part],
+    nominal: Nominal,
+    effects: Effects,
+    weight: Floats,
 ) -> tuple[tuple[slice, Floats], ...]:
-    """Whitened block of each channel, with its rows."""
+    """Whitened block of each channel, with its rows; what is open in the deflection's loop rings and creeps as all of it."""
+    simulation = nominal.model.simulation.with_effects(effects)
     blocks = []
     for channel, columns in loops.items():
-        own = [row for row in rows if row.channel == channel]
         noise = nominal.noise[channel]
-        block = [
-            noise.whiten(raw) * weight[row.where, None] for raw, row in zip(columns.raw, own, strict=True)
-        ]
+        own, block = [row for row in rows if row.channel == channel], []
+        for raw, row in zip(columns.raw, own, strict=True):
+            seen = (
+                through_structure(simulation, raw, parts[row.part].dt) if channel == TIP_DEFLECTION else raw
+            )
+            block.append(noise.whiten(seen) * weight[row.where, None])
         blocks.append((slice(own[0].where.start, own[-1].where.stop), np.concatenate(block)))
     return tuple(blocks)
 
