@@ -78,6 +78,7 @@ def loop_shapes(nominal: Nominal) -> dict[str, LoopShape]:
 
 
 def _loop_shape(nominal: Nominal, channel: str) -> LoopShape:
+    """Posterior of one channel, by conjugate Gaussian regression on the digest, whose blocks have correlated noise."""
     basis, span = basis_of(nominal.device), nominal.span[channel]
     digest = nominal.digest
     if digest is None:

@@ -337,7 +337,7 @@ def follows(kind, c):
 
 @njit(cache=True, error_model="numpy")
 def warm(c, x, current, h, time):
-    """Advance the temperature alone by h [s]; return what the transitions see of it [degC]. For devices that `follow`."""
+    """Advance the temperature alone by h [s]; return what the transitions see of it [degC]. Where `follows` holds."""
     background = ambient(c, time)
     fast = x[S.FAST] + _heat(c, x, current, h, time, background)
     return _bring(c, x, fast, background, _film_extra(c, x, time))
@@ -345,7 +345,7 @@ def warm(c, x, current, h, time):
 
 @njit(cache=True, error_model="numpy")
 def follow(c, x, effective, packed_r, packed_d, play_r, play_d):
-    """Bring the transitions to an input [degC]. For devices that `follow`."""
+    """Bring the transitions to an input [degC]. Where `follows` holds."""
     x[S.RAW_R] = bank_output(effective, packed_r, play_r, True)
     x[S.RAW_D] = bank_output(effective + c[C.TRANSITION_OFFSET], packed_d, play_d, True)
     x[S.EQUILIBRIUM_R] = x[S.RAW_R]
