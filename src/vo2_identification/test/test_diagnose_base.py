@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
-from vo2_identification.diagnose.base import _block_covariance
+from vo2_identification.diagnose.base import Coverage, _block_covariance, coverage
 from vo2_identification.diagnose.carry import carried, corrected_film
 from vo2_identification.diagnose.evidence import gather
 from vo2_identification.diagnose.explain import fit_jointly, switched
@@ -21,6 +21,7 @@ from vo2_models.device import DeviceModel
 from vo2_models.device.bank import PlayBank
 from vo2_models.device.coefficients import Sensor, sensor_index
 from vo2_models.effects import effects
+from vo2_models.fitting.digest import CalibrationDigest
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 BEHIND = ("terminals", "structure", "sensor")
@@ -282,3 +283,36 @@ def test_rounding_without_noise_is_a_staircase() -> None:
     away = np.abs(np.abs(values / 0.5 - np.floor(values / 0.5)) - 0.5) > 0.1
     found = rounded_with_noise(values, 0.5, np.zeros(401))
     assert found[away] == pytest.approx(0.5 * np.rint(values / 0.5)[away], abs=0.005)
+
+
+def test_a_rest_is_covered_and_the_way_from_it_is_not() -> None:
+    temperature = np.array([22.0, 22.0, 40.0, 60.5, 60.5])
+    count = np.array([60.0, 3.0, 200.0, 50.0])
+    digest = CalibrationDigest(temperature, count, np.zeros(4), np.zeros(4))
+    found = coverage(replace(_model(), digest=digest))
+    assert found.holds(np.array([10.0, 22.0, 22.9, 30.0, 41.0, 60.9, 61.1])).tolist() == [
+        *(False, True, True, False, True, True, False)
+    ]
+    assert str(found) == "22 to 23, 40 to 61 degC"
+    everywhere = coverage(_model())
+    assert isinstance(everywhere, Coverage) and everywhere.holds(np.array([-300.0, 1e4])).all()
+
+
+def test_what_is_faster_than_the_samples_is_no_resonance() -> None:
+    record = effects()["cantilever_resonance"]
+    start = {"share": 1.0, "frequency": 400.0, "damping": 0.02}
+    mode = Hypothesis(record, "", (start,), dict.fromkeys(start, 0.02), fastest=500.0)
+    assert mode.bounds("frequency") == (1e-3, 500.0)
+    assert mode.bounds("damping") == (1e-4, 1.0)
+
+
+def test_the_digest_keeps_how_the_model_changes_with_its_lags() -> None:
+    rng = np.random.default_rng(8)
+    lags = {"thermal.time_constant": rng.normal(size=(3, 2)), "driver.dead_time": rng.normal(size=(3, 2))}
+    digest = CalibrationDigest(np.arange(4.0), np.full(3, 5.0), np.zeros(3), np.zeros(3), by_lag=lags)
+    again = CalibrationDigest.from_parameters(digest.to_parameters())
+    assert again is not None and again.by_lag.keys() == lags.keys()
+    for name, values in lags.items():
+        np.testing.assert_allclose(again.by_lag[name], values, rtol=1e-3)
+    with pytest.raises(ValueError, match=r"thermal\.time_constant: found shape"):
+        replace(digest, by_lag={"thermal.time_constant": np.zeros((2, 2))})

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 from vo2_identification.bags import write_bag
 from vo2_identification.diagnose import diagnose, main, study, validate
+from vo2_identification.diagnose.evidence import gather
 from vo2_identification.diagnose.files import write_results
+from vo2_identification.diagnose.nominal import Nominal
+from vo2_identification.diagnose.part import prepare
 from vo2_identification.fit import model_of
 from vo2_models.device import DeviceModel, preset, surrogate_of_temperature, truth
 from vo2_models.excitation import Excitation, composite_recording, damped_oscillation
@@ -23,25 +26,30 @@ def measured(recording: Recording) -> Recording:
     return Recording(recording.time_s, channels, recording.device)
 
 
-def concealed(effects=None, *, seed=4, samples=4000, colour=0.0) -> Recording:
+def concealed(effects=None, *, seed=4, samples=4000, colour=0.0, device_seed=SEED) -> Recording:
     cold, hot = preset(DEVICE).operating_range
     begin, end = surrogate_of_temperature(DEVICE, np.array([50.0, 70.0]))
     current = composite_recording(
         cold, hot, transition=(begin, end), duration_s=samples * DT, sample_period_s=DT, seed=seed
     ).sample(DT)
-    device = truth(DEVICE, seed=SEED, effects=effects or {}, colour=colour)
+    device = truth(DEVICE, seed=device_seed, effects=effects or {}, colour=colour)
     return measured(device.simulate(current, seed=seed + 100))
 
 
-@pytest.fixture(scope="module")
-def parameters():
+def calibrated(device_seed=SEED):
+    """Model fitted to smaller and smaller loops at one rate, on which a lag and a wider loop look the same."""
     low, high = (preset(DEVICE).steady_temperature(i) for i in preset(DEVICE).operating_range)
     levels = damped_oscillation(np.linspace(low, high, 31), reversals_only=True)
     rate = float(np.sum(np.abs(np.diff(levels)))) / 12.0
     current = surrogate_of_temperature(DEVICE, Excitation.at_rate(levels, rate_per_s=rate).sample(DT))
-    calibration = truth(DEVICE, seed=SEED).simulate(current, seed=1)
+    calibration = truth(DEVICE, seed=device_seed).simulate(current, seed=1)
     _, found = model_of([measured(calibration)], DEVICE, plays=12)
     return found
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return calibrated()
 
 
 def test_an_unchanged_device_agrees(parameters) -> None:
@@ -49,6 +57,31 @@ def test_an_unchanged_device_agrees(parameters) -> None:
     assert answer.verdict == "agrees"
     assert answer.effects == [] and answer.location == []
     validate(answer.to_dict())
+
+
+@pytest.mark.parametrize("device_seed", [9001, 9005])
+def test_a_calibration_at_one_rate_raises_no_alarm_at_another(device_seed) -> None:
+    found = calibrated(device_seed)
+    seen = study([concealed(device_seed=device_seed)], found)
+    assert not seen.differs
+    assert seen.pull < 25.0
+    # the calibration cannot tell the time constant from the loops: without what it knows of both there is an alarm
+    alone = {name: value for name, value in found.items() if "_by_" not in name}
+    assert len(alone) == len(found) - 4
+    assert study([concealed(device_seed=device_seed)], alone).total_excess > 2.0 * seen.total_excess
+
+
+def test_the_tangent_of_a_lag_takes_the_loops_along(parameters) -> None:
+    nominal = Nominal.from_parameters(parameters)
+    parts = [prepare(concealed(), nominal)]
+    here = gather(nominal, parts)
+    step = 0.2 * np.eye(len(here.names))[here.names.index("thermal.time_constant")]
+    there = gather(nominal, parts, shift=step, shapes=here.shapes)
+    held = here.responses({}, step)  # the loops as they were
+    taken_along = here.stack(there.nominal_responses, held)
+    follow = here.follow @ step
+    assert np.linalg.norm(follow) > 5.0  # standard deviations
+    assert np.linalg.norm(taken_along - follow) < 0.05 * np.linalg.norm(follow)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,7 @@ from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from vo2_models.device import DeviceModel
     from vo2_models.fitting.device_fit import FitResult
     from vo2_models.parameters import Value
 
@@ -128,12 +129,13 @@ def model_of(
         if self_sensing:
             progress("self-sensing", 0.95)
             parameters |= characterise(max(both, key=len), parameters)
-        parameters |= _digest(result, both[0] is recordings[0])
+        parameters |= _digest(result, recordings[0], both[0] is recordings[0])
     return result, parameters
 
 
-def _digest(result: FitResult, first: bool) -> dict[str, Value]:
+def _digest(result: FitResult, recording: Recording, first: bool) -> dict[str, Value]:
     """What the loops left over along the first recording, for a later diagnosis; nothing where it has no cold start."""
+    import numpy as np
     from vo2_models.fitting.digest import digest_of
     from vo2_models.fitting.enrichment import EnrichmentBasis
 
@@ -155,7 +157,33 @@ def _digest(result: FitResult, first: bool) -> dict[str, Value]:
         noise_log_resistance=_noise(path, gap, result, RESISTANCE),
         noise_deflection=_noise(path, tip, result, TIP_DEFLECTION),
         noise_stage=() if stage is None else _noise(path, stage[1:stop], result, STAGE_TEMPERATURE),
+        by_lag={
+            name: np.column_stack([means.log_resistance, means.deflection])
+            for name, columns in _by_lag(result.model, recording).items()
+            for means in [digest_of(path, *columns, inside_degc=inside)]
+        },
     ).to_parameters()
+
+
+def _by_lag(model: DeviceModel, recording: Recording) -> dict[str, tuple[Floats, Floats]]:
+    """Change of log10 R and of the deflection along a recording by each lag of the model, per second, the loops held."""
+    import numpy as np
+    from vo2_models.fitting.digest import LAGS
+    from vo2_models.fitting.grid import on_grid
+
+    grid = on_grid(recording)
+    step = 0.01 * model.scalars["thermal.time_constant"]
+
+    def simulated(scalars: Mapping[str, float]) -> tuple[Floats, Floats]:
+        out = replace(model, scalars=dict(scalars)).simulation.run(grid.current, dt=grid.dt)
+        return np.log10(out[:, 1]), out[:, 2]
+
+    before = simulated(model.scalars)
+    found = {}
+    for name in LAGS:
+        after = simulated({**model.scalars, name: model.scalars[name] + step})
+        found[name] = ((after[0] - before[0]) / step, (after[1] - before[1]) / step)
+    return found
 
 
 def _noise(path: Floats, residual: Floats, result: FitResult, channel: str) -> tuple[float, ...]:

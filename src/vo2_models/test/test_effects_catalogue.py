@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from vo2_models.device import preset, truth
 from vo2_models.device.coefficients import neutral
 from vo2_models.effects import apply_effects, effect, effect_ids, effects
@@ -302,3 +303,60 @@ def test_a_second_thermal_mode_may_raise_the_steady_gain():
     # right after the step, when the slow path has not moved, only the fast one is there
     assert np.isclose(kept["true_temperature"][12] - 22.0, 0.95 * rise[12], rtol=0.01)
     assert np.isclose(raised["true_temperature"][12] - 22.0, rise[12], rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("sensor_lag", {"time_constant": 0.7e-3, "signal": TIP_DEFLECTION}),
+        ("clock_offset", {"delay": 2.3e-3, "signal": TIP_DEFLECTION}),
+        ("cantilever_resonance", {"share": 1.0, "frequency": 230.0, "damping": 0.02}),
+    ],
+)
+def test_samples_tell_what_fine_ones_tell(name, values):
+    """Between samples 1 ms apart a film with a time constant of 1.8 ms goes no straight way."""
+    current = np.repeat(
+        np.random.default_rng(6).uniform(4.2e-3, 4.8e-3, 80), 4
+    )  # below the transition: no loop
+    device = truth("integrated", effects={name: values})
+    coarse = device.simulate(current, noise=False)[TIP_DEFLECTION]
+    fine = device.simulate(np.repeat(current, 20), dt=5e-5, noise=False)[TIP_DEFLECTION][19::20]
+    plain = truth("integrated").simulate(current, noise=False)[TIP_DEFLECTION]
+    assert np.std(coarse - plain) > 0.03 * np.std(plain)
+    assert np.max(np.abs(coarse - fine)[20:]) < 2e-3 * np.std(coarse - plain)
+
+
+def test_the_after_effect_solves_its_equation_at_any_pace():
+    """Growth and forgetting at once, as on slow ramps: against the differential equation, integrated by scipy."""
+    onset, travel, amplitude, dt = 3.0, 0.4, 0.02, 0.125
+    current = np.r_[
+        np.linspace(0.0, -0.78, 600), np.full(900, -0.78), np.linspace(-0.78, -0.82, 60)
+    ]  # heating only
+    values = {"amplitude": amplitude, "onset": onset, "travel": travel}
+    base = truth("peltier").run(current, dt=dt)
+    run = truth("peltier", effects={"slow_relaxation": values}).run(current, dt=dt)
+    time, film, fraction = np.arange(current.size) * dt, base[:, 5], base[:, 8]
+
+    def rate(t, y):
+        pace = np.interp(t, time[1:] - 0.5 * dt, np.diff(film) / dt)
+        return np.exp(-y) / onset - y / travel * pace
+
+    y = solve_ivp(rate, (0.0, time[-1]), [0.0], t_eval=time, rtol=1e-8, max_step=dt).y[0]
+    inside = (fraction > 0.1) & (fraction < 0.9)
+    found = (run[:, 8] - fraction)[inside] / (4 * amplitude * fraction * (1 - fraction))[inside]
+    assert np.count_nonzero(inside) > 400
+    assert np.max(y[inside]) > 2 * np.min(y[inside]) > 0.0  # holds, and motion that forgets them
+    assert np.max(np.abs(found - y[inside])) < 0.05 * np.max(y)
+
+
+def test_a_motion_back_that_is_slower_than_the_drift_is_a_hold():
+    cooled = np.r_[np.linspace(0.0, -1.1, 900), np.linspace(-1.1, -0.62, 400)]
+    creeping = np.linspace(-0.62, -0.63, 1600)  # heating again, by 2.5 mK a second
+    current = np.r_[cooled, np.full(1600, -0.62), creeping]
+    values = {"amplitude": 0.02, "onset": 2.0, "travel": 0.4}
+    base = truth("peltier").run(current, dt=0.125)
+    run = truth("peltier", effects={"slow_relaxation": values}).run(current, dt=0.125)
+    late = slice(-300, None)
+    assert np.all(np.diff(base[late, 5]) > 0.0) and np.all(base[late, 8] > 0.02)
+    drift = run[late, 8] - base[late, 8]
+    assert np.all(drift < 0.0)  # on towards the insulator, as cooling left it

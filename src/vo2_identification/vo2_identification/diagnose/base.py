@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from vo2_identification.diagnose.noise import NoiseModel
 from vo2_identification.diagnose.nominal import Nominal, basis_of
 from vo2_identification.diagnose.side_by_side import side_by_side
 
-__all__ = ["LoopShape", "covered_range", "loop_shapes", "thermal_spread"]
+__all__ = ["Coverage", "LoopShape", "coverage", "loop_shapes", "thermal_spread"]
 
 Floats = NDArray[np.float64]
 DOMAINS = (1e3, 4e3, 1.6e4, 1e6)
@@ -35,6 +36,7 @@ class LoopShape:
     mean : (m,) weights
     factor : (m, m) lower Cholesky factor of the posterior precision
     rough : misfit that remains at single temperatures, in the channel's unit
+    by_lag : time constant or dead time -> (m,) change of the mean by it [1/s]: the calibration fixes loop and lag together
     """
 
     basis: EnrichmentBasis
@@ -42,10 +44,12 @@ class LoopShape:
     mean: Floats
     factor: Floats
     rough: float
+    by_lag: Mapping[str, Floats] = field(default_factory=dict)
 
-    def fold(self) -> Correction:
-        """The mean correction, as a function of the temperature."""
-        return self.basis.fold(self.mean, span=self.span)
+    def fold(self, moved: Mapping[str, float] | None = None) -> Correction:
+        """The mean correction, as a function of the temperature, for lags that are longer than the model's by `moved` [s]."""
+        mean = self.mean + sum(self.by_lag[n] * by for n, by in (moved or {}).items() if n in self.by_lag)
+        return self.basis.fold(np.asarray(mean), span=self.span)
 
     def spread(self, directions: Floats) -> Floats:
         """Weights (m, k) that unit-normal directions (m, k) of what the calibration leaves open stand for."""
@@ -86,6 +90,8 @@ def _loop_shape(nominal: Nominal, channel: str) -> LoopShape:
     noise = nominal.noise[channel]
     target = digest.log_resistance if channel == RESISTANCE else digest.deflection
     features = digest.features(basis, span=span)
+    # with another lag the model would have left another residual
+    lags = [-values[:, 0 if channel == RESISTANCE else 1] for values in digest.by_lag.values()]
     covariance = _block_covariance(noise, digest.count)
     covariance[0, digest.count <= 0.0] = 1e8 * noise.level**2
     middle = 0.5 * (digest.temperature[1:] + digest.temperature[:-1])
@@ -95,9 +101,10 @@ def _loop_shape(nominal: Nominal, channel: str) -> LoopShape:
         spread = covariance.copy()
         spread[0] += np.where(inside, (roughness * noise.level) ** 2, 0.0)
         root = cholesky_banded(spread, lower=True)
-        weighted = solve_banded((root.shape[0] - 1, 0), root, np.column_stack([features, target]))
-        weighted, aim = weighted[:, :-1], weighted[:, -1]
-        gram, right = weighted.T @ weighted, weighted.T @ aim
+        weighted = solve_banded((root.shape[0] - 1, 0), root, np.column_stack([features, target, *lags]))
+        weighted, aim, others = np.split(weighted, [basis.columns, basis.columns + 1], axis=1)
+        aim = aim[:, 0]
+        gram, right, right_others = weighted.T @ weighted, weighted.T @ aim, weighted.T @ others
         energy = float(aim @ aim + 2.0 * np.sum(np.log(root[0])))
         for domains in DOMAINS:
             scale = np.ones(basis.columns)
@@ -109,36 +116,60 @@ def _loop_shape(nominal: Nominal, channel: str) -> LoopShape:
             score = -0.5 * (energy - half @ half) - float(np.sum(np.log(np.diag(factor))))
             if best is None or score > best[0]:
                 mean = solve_triangular(factor, half, lower=True, trans="T", check_finite=False)
+                half = solve_triangular(factor, scale[:, None] * right_others, lower=True, check_finite=False)
+                means = solve_triangular(factor, half, lower=True, trans="T", check_finite=False)
                 shape = LoopShape(
-                    replace(basis, domains=domains), span, mean, factor, roughness * noise.level
-                )
+                    replace(basis, domains=domains), span, mean, factor, roughness * noise.level,
+                    dict(zip(digest.by_lag, means.T, strict=True)),
+                )  # fmt: skip
                 best = (score, shape)
     assert best is not None
     return best[1]
 
 
-def covered_range(nominal: Nominal, *, samples: float = 8.0) -> tuple[float, float]:
-    """Temperatures [degC] between which the calibration has `samples` samples in every kelvin.
+@dataclass(frozen=True)
+class Coverage:
+    """Temperatures at which the calibration has been, kelvin by kelvin.
 
-    Beyond, on the way from a cold rest for instance, the fitted loops are a guess, and a recording that differs there
-    says nothing about the device. Everything is covered where the model file has no digest.
+    Attributes
+    ----------
+    edges : (m + 1,) of the kelvins [degC]
+    enough : (m,) whether the calibration has been there for some samples
+    """
+
+    edges: Floats
+    enough: NDArray[np.bool_]
+
+    def holds(self, temperature: Floats) -> NDArray[np.bool_]:
+        """Whether temperatures (n,) [degC] are covered."""
+        place = np.searchsorted(self.edges, temperature, side="right") - 1
+        return np.concatenate([[False], self.enough, [False]])[place + 1]
+
+    def __str__(self) -> str:
+        """The stretches that are covered, in words."""
+        turns = np.flatnonzero(np.diff(np.concatenate([[False], self.enough, [False]]).astype(int)))
+        ends = self.edges[turns].reshape(-1, 2)
+        return ", ".join(f"{low:.0f} to {high:.0f}" for low, high in ends) + " degC"
+
+
+def coverage(nominal: Nominal, *, samples: float = 8.0) -> Coverage:
+    """Kelvins in which the calibration has `samples` samples.
+
+    Elsewhere, on the way from a cold rest for instance, the fitted loops are a guess, and a recording that differs there
+    says nothing about the device. The rest itself says much: no current, no heat. Everything is covered where the
+    model file has no digest.
     """
     digest = nominal.digest
     if digest is None:
-        return -np.inf, np.inf
+        return Coverage(np.array([-np.inf, np.inf]), np.ones(1, dtype=bool))
     low = np.minimum(digest.temperature[1:], digest.temperature[:-1])
     high = np.maximum(digest.temperature[1:], digest.temperature[:-1])
     edges = np.arange(np.floor(low.min()), np.ceil(high.max()) + 1.0)
+    high = np.maximum(high, low + 1e-6)  # at rest
     # a block's samples, spread evenly over its temperatures
     shares = np.minimum(high[:, None], edges[1:]) - np.maximum(low[:, None], edges[:-1])
-    shares = np.maximum(shares, 0.0) / np.maximum(high - low, 1e-9)[:, None]
-    enough = digest.count @ shares >= samples
-    middle = int(np.argmax(digest.count @ shares))
-    below = np.flatnonzero(~enough[:middle])
-    above = np.flatnonzero(~enough[middle:])
-    first = below[-1] + 1 if below.size else 0
-    last = middle + above[0] if above.size else enough.size
-    return float(edges[first]), float(edges[last])
+    shares = np.maximum(shares, 0.0) / (high - low)[:, None]
+    return Coverage(edges, digest.count @ shares >= samples)
 
 
 def _block_covariance(noise: NoiseModel, count: Floats, *, band: int = 12) -> Floats:

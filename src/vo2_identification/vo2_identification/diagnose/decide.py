@@ -49,9 +49,10 @@ class Thresholds:
         by this much, or a single channel's by that
     plain : excess below which a residual that nothing predicts on held-out blocks is taken for noise or misfit
     rival : rivals within this difference of q (5 sigma) are not told apart
+    apart : difference of q (10 sigma) to every other effect with which one is named that constants could stand for
     tie : pairs within this share of what the best leaves over are equally good: the one with fewer parameters is named
     pull : squared move of the thermal parameters, in their standard deviations, from which a recording differs by a
-        constant even if no effect saves a name's gain; the largest of 38 recordings without effect was 429
+        constant even if no effect saves a name's gain; the largest of 128 recordings without effect was 16
     pull_told : the same from which it is told beside a verdict
     temper : how many times more the likelihood ratio must be than white noise would need
     """
@@ -74,9 +75,10 @@ class Thresholds:
     channel_excess: float = 0.4
     plain: float = 0.4
     rival: float = 25.0
+    apart: float = 100.0
     tie: float = 0.02
-    pull: float = 800.0
-    pull_told: float = 100.0
+    pull: float = 100.0
+    pull_told: float = 40.0
     temper: float = 8.0
 
     def least(self, hypothesis: Hypothesis) -> float:

@@ -60,6 +60,7 @@ class Evidence:
     residual : (N,) whitened residual of the nominal simulation
     base : (N, k) whitened tangent of the base
     loops : channel -> the loop columns that were kept, and where they were taken
+    follow : (N, t) what of the thermal columns is the loops' doing: the calibration has fixed them together with the lags
     names : of the thermal columns, which are the last
     spreads : a unit of each thermal column, in the parameter's unit
     included : effects that the nominal responses already have
@@ -79,6 +80,7 @@ class Evidence:
     included: Effects = field(default_factory=dict)
     shapes: Mapping[str, LoopShape] = field(default_factory=dict)
     loops: Mapping[str, LoopColumns] = field(default_factory=dict)
+    follow: Floats = field(default_factory=lambda: np.zeros((1, 1)))
 
     def __post_init__(self) -> None:
         gram = self.base.gram()
@@ -129,7 +131,7 @@ class Evidence:
         """
         change = self.stack(self.responses(effects, shift, fine=fine))
         if shift is not None and shift.size:
-            change = change - self.base.thermal @ (shift - self.origin)
+            change = change - (self.base.thermal - self.follow) @ (shift - self.origin)
         return change
 
     def deviations(
@@ -178,6 +180,7 @@ class Evidence:
             weight=weight,
             residual=np.where(keep, self.residual, 0.0),
             base=self.base.restricted(keep),
+            follow=self.follow * keep[:, None],
         )
 
     def rows_of(self, channel: str) -> slice:
@@ -215,9 +218,10 @@ def gather(
     say : called with what is being done
     """
     shapes = loop_shapes(nominal) if shapes is None else shapes
-    corrected = replace(nominal, corrections={c: s.fold() for c, s in shapes.items()})
     spreads = thermal_spread(nominal.model)[1]
     origin = np.zeros(len(spreads)) if shift is None else np.asarray(shift, dtype=np.float64)
+    moved = {n: float(z) * spreads[n] for n, z in zip(spreads, origin, strict=True)}
+    corrected = replace(nominal, corrections={c: s.fold(moved) for c, s in shapes.items()})
     thermal = _moved(corrected, origin)
     say("simulating the recordings")
     responses = [
@@ -253,13 +257,37 @@ def gather(
         return partial.stack(partial.responses({}, origin + step)) / 0.2
 
     columns = side_by_side(column, 0.2 * np.eye(origin.size))
-    base = Tangent(blocks, np.column_stack(columns) if columns else np.zeros((end, 0)))
+    follow = _following(partial, spreads)
+    thermal_columns = np.column_stack(columns) if columns else np.zeros((end, 0))
+    base = Tangent(blocks, thermal_columns + follow)
     # told from the model's own thermal parameters, so that the base pays for the origin too
     if origin.size:
         residual = residual + base.thermal @ origin
     return replace(
-        partial, residual=residual, base=base, names=tuple(spreads), spreads=tuple(spreads.values())
+        partial,
+        residual=residual,
+        base=base,
+        names=tuple(spreads),
+        spreads=tuple(spreads.values()),
+        follow=follow,
     )
+
+
+def _following(evidence: Evidence, spreads: Mapping[str, float]) -> Floats:
+    """Whitened change (N, t) of the loops that goes with each thermal parameter's step."""
+    out = np.zeros((evidence.weight.size, len(spreads)))
+    simulation = evidence.nominal.model.simulation.with_effects(evidence.included)
+    for row, part, response in evidence.iterate():
+        shape = evidence.shapes.get(row.channel)
+        for place, (name, spread) in enumerate(spreads.items()):
+            if shape is None or name not in shape.by_lag:
+                continue
+            change = shape.basis.fold(spread * shape.by_lag[name], span=shape.span)(response.temperature)
+            if row.channel == TIP_DEFLECTION:
+                change = through_structure(simulation, change[:, None], part.dt)[:, 0]
+            whitened = evidence.nominal.noise[row.channel].whiten(change)
+            out[row.where, place] = whitened * evidence.weight[row.where]
+    return out
 
 
 def _moved(nominal: Nominal, shift: Floats) -> dict[str, float]:

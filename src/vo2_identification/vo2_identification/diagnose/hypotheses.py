@@ -48,6 +48,7 @@ class Hypothesis:
     starts : starting values of the parameters that are fitted; one that a start leaves out stays neutral
     scales : parameter -> a step that matters
     evident : whether the values show it by themselves: all on a grid much coarser than the calibration's noise
+    fastest : half the sampling rate [Hz]; what oscillates faster is not seen to oscillate
     """
 
     record: Effect
@@ -55,6 +56,7 @@ class Hypothesis:
     starts: tuple[Values, ...]
     scales: Values
     evident: bool = False
+    fastest: float = np.inf
 
     @property
     def key(self) -> str:
@@ -93,9 +95,10 @@ class Hypothesis:
         )
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """Physical range."""
+        """Physical range, of a frequency what the samples can show of it."""
         parameter = self.parameter(name)
-        return float(parameter.lower or 0.0), float(parameter.upper or 0.0)
+        upper = float(parameter.upper or 0.0)
+        return float(parameter.lower or 0.0), min(upper, self.fastest) if parameter.unit == "Hz" else upper
 
     def logarithmic(self, name: str) -> bool:
         """Whether it is fitted by its logarithm: a shape parameter, which is positive and not neutral at zero."""
@@ -123,7 +126,10 @@ def hypotheses(evidence: Evidence, device: str, residual: Floats) -> list[Hypoth
             starts, scales = _starts(evidence, record, signal, device, residual)
             if starts:
                 on_grid = "step" in scales and _coarser_than_before(evidence, signal)
-                found.append(Hypothesis(record, signal, tuple(starts), scales, evident=on_grid))
+                fastest = 0.5 / max(part.dt for part in evidence.parts)
+                found.append(
+                    Hypothesis(record, signal, tuple(starts), scales, evident=on_grid, fastest=fastest)
+                )
     return found
 
 

@@ -13,7 +13,7 @@ from vo2_models.device.coefficients import HUGE
 from vo2_models.parameters import Value
 from vo2_models.recording import Recording
 
-from vo2_identification.diagnose.base import covered_range, loop_shapes
+from vo2_identification.diagnose.base import coverage, loop_shapes
 from vo2_identification.diagnose.check import Finding, Unusable, check_recording
 from vo2_identification.diagnose.decide import HeldOut, Thresholds, block_folds, held_out
 from vo2_identification.diagnose.evidence import Evidence, gather
@@ -243,10 +243,10 @@ def _covered(
     findings: Sequence[Finding],
 ) -> tuple[list[Part], list[Finding]]:
     """Leave out of these channels what happens at temperatures (n,) [degC] that the calibration did not cover."""
-    low, high = covered_range(nominal)
+    covered = coverage(nominal)
     parts, beyond, count = [], 0, 0
     for part, path in zip(given, paths, strict=True):
-        inside = (path >= low) & (path <= high)
+        inside = covered.holds(path)
         beyond, count = beyond + int(np.count_nonzero(~inside)), count + part.size
         valid = {c: good & inside if c in channels else good for c, good in part.valid.items()}
         parts.append(replace(part, valid=valid))
@@ -254,12 +254,12 @@ def _covered(
         return parts, list(findings)
     if count - beyond < 100:
         raise Unusable(
-            f"recordings: {beyond} of {count} samples are outside of {low:.0f} to {high:.0f} degC, which is what the "
-            "calibration covers; fit a calibration that covers them"
+            f"recordings: {beyond} of {count} samples are outside of {covered}, which is what the calibration covers; "
+            "fit a calibration that covers them"
         )
     uncovered = Finding(
         "beyond",
-        f"{100 * beyond / count:.1f} % of the samples are at temperatures outside of {low:.0f} to {high:.0f} degC, "
+        f"{100 * beyond / count:.1f} % of the samples are at temperatures outside of {covered}, "
         "which the calibration hardly covers: they are not judged",
     )
     return parts, [*findings, uncovered]
@@ -391,10 +391,11 @@ def _explained(base: Study, clock: _Clock) -> Study:
         shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
         sound = _sound(option, judged, singles, evidence, limits)
         rivals, remaining = option.rivals, option.remaining
-        if sound and shows:
+        taken_up = sound and len(problems) > 1
+        if sound and (shows or (taken_up and _stands_for_a_constant(option, singles, limits))):
             final, chosen = option.final, option.chosen
             break
-        absorbed |= sound and len(problems) > 1
+        absorbed |= taken_up
     if chosen is None:
         judged = held_out(evidence, None)
         loud = base.total_excess > limits.excess or max(base.excess.values()) > limits.channel_excess
@@ -542,6 +543,18 @@ def _dominates(chosen: Explanation, singles: Sequence[Explanation], limits: Thre
     alone = max((e.gain for e in singles if e.hypotheses[0].record.id == own), default=chosen.gain)
     others = [e.gain for e in singles if e.hypotheses[0].record.id != own]
     return max(others, default=0.0) < limits.dominated * alone
+
+
+def _stands_for_a_constant(option: Option, singles: Sequence[Explanation], limits: Thresholds) -> bool:
+    """Whether a change that the base could take up by its constants is what one effect is, and no other.
+
+    On held-out blocks such an effect gains nothing, as the constants are moved there too. What tells is how far they
+    would have to move from the calibration: a dead time that has grown is named, a gain that many effects mimic is not.
+    """
+    chosen = option.chosen
+    own = chosen.hypotheses[0].record.id
+    others = [e.gain for e in singles if e.hypotheses[0].record.id != own]
+    return len(chosen.keys) == 1 and chosen.gain - max(others, default=0.0) > limits.apart
 
 
 def _significant(explanation: Explanation, limits: Thresholds) -> bool:

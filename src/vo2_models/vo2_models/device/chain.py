@@ -91,15 +91,26 @@ def _structure(c, x, mode, deflection, period):
 
 
 @njit(cache=True, error_model="numpy")
+def _relaxations(c, period):
+    """Sample period in time constants of the heat; never so few that a difference of exponentials loses digits."""
+    return max(period / c[C.TIME_CONSTANT], 1e-3)
+
+
+@njit(cache=True, error_model="numpy")
 def _sense(c, channel, value, normal, time, period, sample, memory, line):
-    """One sensor: lag, late clock, drifting gain, noise, quantisation, saturation."""
+    """One sensor: lag, late clock, drifting gain, noise, quantisation, saturation.
+
+    Lag and clock are exact for an input that moves from sample to sample as the heat does under a held current.
+    """
     at = _SENSORS + channel * PER_CHANNEL
     out = value
     if c[at + N.LAG] > 0.0:
-        # exact for an input that moves linearly from sample to sample
-        taken = -math.expm1(-period / c[at + N.LAG])
-        behind = (memory[channel, 0] - memory[channel, 2]) * (1.0 - taken)
-        lagged = out - (out - memory[channel, 2]) * taken * c[at + N.LAG] / period + behind
+        heat, slow = _relaxations(c, period), period / c[at + N.LAG]
+        gap = slow - heat
+        left = math.exp(-slow)
+        meanwhile = math.exp(-heat) * slow * (-math.expm1(-gap) / gap if abs(gap) > 1e-6 else 1.0)
+        old = (meanwhile - math.exp(-heat) * (1.0 - left)) / -math.expm1(-heat)
+        lagged = memory[channel, 0] * left + memory[channel, 2] * old + out * (1.0 - left - old)
         memory[channel, 0] = lagged
         memory[channel, 2] = out
         out = lagged
@@ -107,10 +118,11 @@ def _sense(c, channel, value, normal, time, period, sample, memory, line):
         line[channel, sample & _SENSOR_LINE] = out
         late = c[at + N.CLOCK] / period
         whole = int(late)
-        part = late - whole
+        heat, part = _relaxations(c, period), late - whole
+        share = math.exp(heat * (part - 1.0)) * math.expm1(-heat * part) / math.expm1(-heat)
         newer = line[channel, (sample - whole) & _SENSOR_LINE]
         older = line[channel, (sample - whole - 1) & _SENSOR_LINE]
-        out = newer + part * (older - newer)
+        out = newer + share * (older - newer)
     out *= 1.0 + c[at + N.DRIFT] * time
     if c[at + N.NOISE] != 0.0 or c[at + N.NOISE_RELATIVE] != 0.0:
         colour = c[at + N.COLOUR]

@@ -78,6 +78,7 @@ class Coefficient(IntEnum):
     KINETICS = auto()  # s
     RELAXATION = auto()  # 1
     RELAXATION_TIME = auto()  # s
+    RELAXATION_TRAVEL = auto()  # K
     REVERSIBLE = auto()  # 1/K
     REVERSIBLE_BAND = auto()  # K
     REVERSIBLE_SHARE = auto()  # 1
@@ -149,6 +150,7 @@ _NEUTRAL = {
     Coefficient.LOSS_EXPONENT: 2.0,
     Coefficient.TRAINING_EXCURSION: 2.0,
     Coefficient.RELAXATION_TIME: 1.0,
+    Coefficient.RELAXATION_TRAVEL: 0.5,
     Coefficient.REVERSIBLE_BAND: 1.0,
     Coefficient.CREEP_TIME: 1.0,
     Coefficient.MODE_FREQUENCY: 1.0,

@@ -35,12 +35,10 @@ __all__ = [
 ]
 
 PLAYS, ENSEMBLE = 0, 1
+HOLD = 0.1
+"""Pace |dT/dt| t0 / T_f up to which a film is held: the after-effect grows ten times faster than the motion forgets it."""
 LATENT_TOLERANCE = 1e-4
 """Enthalpy error [K] of one step at which the search for its temperature ends; it is carried into the next step."""
-STILL = 0.3
-"""A film that moves by less than this [K] in the time after which relaxation begins is held."""
-FORGET = 0.5
-"""Travel [K] over which a moving film forgets what a hold has added."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -190,27 +188,20 @@ def _count_reversals(c, x, film):
 
 
 @njit(cache=True, error_model="numpy")
-def _hold(c, x, film, h):
-    """Follow whether the film is held; return what a hold adds to ln(1 + t / t0) in this step.
+def _relax(c, x, film, h):
+    """Advance the after-effect y by a step: dy/dt = (d / t0) exp(-d y) - (y / T_f) |dT/dt|.
 
-    A film that moves forgets what a hold has added: what switches next is decided by the temperature again. The
-    drift goes the way the film last moved, however little.
+    At rest y = d ln(1 + t / t0). A film that moves forgets it: what switches next is decided by the temperature again.
+    d is the way of the last motion, +1 or -1; one that would take ten times t0 to forget y is a hold and does not
+    change it. Exact but for the order: half of the forgetting, the growth, the other half.
     """
     travel = film - x[S.ANCHOR]
     x[S.ANCHOR] = film
-    if travel * x[S.HOLD_SIGN] < 0.0:
-        x[S.HELD] = 0.0
-    if travel != 0.0:
-        x[S.HOLD_SIGN] = 1.0 if travel > 0.0 else -1.0
-    if abs(travel) * c[C.RELAXATION_TIME] > STILL * h:
-        left = math.exp(-abs(travel) / FORGET)
-        x[S.DRIFT_R] *= left
-        x[S.DRIFT_D] *= left
-        x[S.HELD] = 0.0
-        return 0.0
-    before = x[S.HELD]
-    x[S.HELD] = before + h
-    return math.log((c[C.RELAXATION_TIME] + before + h) / (c[C.RELAXATION_TIME] + before))
+    if abs(travel) * c[C.RELAXATION_TIME] > HOLD * c[C.RELAXATION_TRAVEL] * h:
+        x[S.WAY] = 1.0 if travel > 0.0 else -1.0
+    half = math.exp(-0.5 * abs(travel) / c[C.RELAXATION_TRAVEL])
+    kept = x[S.WAY] * x[S.RELAXED] * half
+    x[S.RELAXED] = x[S.WAY] * (kept + math.log1p(h / c[C.RELAXATION_TIME] * math.exp(-kept))) * half
 
 
 @njit(cache=True, error_model="numpy")
@@ -430,7 +421,8 @@ def _anhysteretic(kind, which, v, packed, levels):
 @njit(cache=True, error_model="numpy")
 def _add_reversible(kind, c, x, film, effective, effective_d, h, packed_r, packed_d, levels):
     """What each transition does beside switching: drift at holds, and reversible change inside the loop."""
-    growth = _hold(c, x, film, h) if c[C.RELAXATION] != 0.0 else 0.0
+    if c[C.RELAXATION] != 0.0:
+        _relax(c, x, film, h)
     if c[C.REVERSIBLE] != 0.0:
         width = c[C.REVERSIBLE_BAND]
         x[S.BAND] = min(max(x[S.BAND], film - width), film + width)
@@ -444,8 +436,7 @@ def _add_reversible(kind, c, x, film, effective, effective_d, h, packed_r, packe
         half_way = 4.0 * inside * (1.0 - inside)
         added = 0.0
         if c[C.RELAXATION] != 0.0:
-            x[S.DRIFT_R + which] += x[S.HOLD_SIGN] * c[C.RELAXATION] * half_way * growth
-            added += x[S.DRIFT_R + which]
+            added += c[C.RELAXATION] * half_way * x[S.RELAXED]
         if c[C.REVERSIBLE] != 0.0:
             added += c[C.REVERSIBLE] * (film - x[S.BAND]) * half_way
         if c[C.REVERSIBLE_SHARE] != 0.0:

@@ -127,7 +127,12 @@ class Simulation:
             c[ideal] = float(np.array_equal(c[first:ideal], blank[first:ideal]))
         if c[Coefficient.MODE_SHARE] == 0.0:
             return c, np.zeros((2, 4))
-        return c, mode_step(c[Coefficient.MODE_FREQUENCY], c[Coefficient.MODE_DAMPING], period)
+        return c, mode_step(
+            c[Coefficient.MODE_FREQUENCY],
+            c[Coefficient.MODE_DAMPING],
+            period,
+            time_constant=c[Coefficient.TIME_CONSTANT],
+        )
 
     def initial_state(self) -> ChainState:
         """Return the memory of a device that has rested without current, insulating, for long."""

@@ -51,11 +51,9 @@ class Slot(IntEnum):
     TURN = auto()  # degC, extreme since the last reversal
     DIRECTION = auto()  # +1 heating, -1 cooling, 0 not yet known
     REVERSALS = auto()
-    ANCHOR = auto()  # degC, temperature a hold is counted from
-    HELD = auto()  # s
-    HOLD_SIGN = auto()
-    DRIFT_R = auto()  # 1, relaxed fraction of the metallic transition
-    DRIFT_D = auto()  # 1, of the structural one
+    ANCHOR = auto()  # degC, of the step before, for the way the film moves
+    WAY = auto()  # +1 heated, -1 cooled, 0 not moved yet: the last motion that was no hold
+    RELAXED = auto()  # 1, after-effect, ln(1 + t / t0) at rest
     BAND = auto()  # degC, centre of the reversible band
     CREPT = auto()  # m
     MODE = auto()  # m, displacement of the mode

@@ -8,7 +8,7 @@ shape may move exactly as far as the calibration left it undetermined, and no fu
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,16 +17,26 @@ from vo2_models.fitting.enrichment import EnrichmentBasis
 from vo2_models.parameters import Parameter, Value
 from vo2_models.validation import finite_array
 
-__all__ = ["DIGEST_PARAMETERS", "CalibrationDigest", "digest_of"]
+__all__ = ["DIGEST_PARAMETERS", "LAGS", "CalibrationDigest", "digest_of"]
 
 Floats = NDArray[np.float64]
 _PREFIX = "model.enrichment."
+LAGS = ("thermal.time_constant", "driver.dead_time")
+"""What makes a loop wider that is recorded at a steady rate: the fitted loops hold for the lags they were fitted with."""
 
 DIGEST_PARAMETERS = (
     Parameter(f"{_PREFIX}temperature", [], "degC", "film temperature at the ends of the blocks", kind="float_array"),
     Parameter(f"{_PREFIX}count", [], "1", "samples of each block", kind="float_array"),
     Parameter(f"{_PREFIX}log_resistance", [], "1", "mean residual of log10 R/ohm in each block", kind="float_array"),
     Parameter(f"{_PREFIX}deflection", [], "m", "mean residual of the deflection in each block", kind="float_array"),
+    *(
+        Parameter(
+            f"{_PREFIX}{channel}_by_{name.partition('.')[2]}", [], f"{unit}/s", f"change of the model by {name}, block means",
+            kind="float_array",
+        )
+        for name in LAGS
+        for channel, unit in (("log_resistance", "1"), ("deflection", "m"))
+    ),
     Parameter(f"{_PREFIX}noise_log_resistance", [], "1", "noise of log10 R: innovation, then AR terms", kind="float_array"),
     Parameter(f"{_PREFIX}noise_deflection", [], "m", "noise of deflection: innovation, then AR terms", kind="float_array"),
     Parameter(f"{_PREFIX}noise_stage", [], "K", "noise of stage temperature: innovation, then AR terms", kind="float_array"),
@@ -46,6 +56,7 @@ class CalibrationDigest:
     deflection : (n,) mean residual [m]
     noise_log_resistance, noise_deflection, noise_stage : innovation deviation, then AR coefficients; empty
         where unknown
+    by_lag : name of `LAGS` -> (n, 2) change of the model's log10 R [1/s] and deflection [m/s] by it; may lack names
     """
 
     temperature: Floats
@@ -55,12 +66,16 @@ class CalibrationDigest:
     noise_log_resistance: tuple[float, ...] = ()
     noise_deflection: tuple[float, ...] = ()
     noise_stage: tuple[float, ...] = ()
+    by_lag: Mapping[str, Floats] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         size = self.count.size
         finite_array(self.temperature, "temperature", size=size + 1)
         for name in ("count", "log_resistance", "deflection"):
             finite_array(getattr(self, name), name, size=size)
+        for name, values in self.by_lag.items():
+            if values.shape != (size, 2):
+                raise ValueError(f"{name}: found shape {values.shape}, need ({size}, 2)")
 
     def features(self, basis: EnrichmentBasis, *, span: float) -> Floats:
         """Mean of `basis.features` over each block, (n, columns), by Simpson's rule along the block."""
@@ -82,6 +97,11 @@ class CalibrationDigest:
             f"{_PREFIX}count": rounded(self.count, 6),
             f"{_PREFIX}log_resistance": rounded(self.log_resistance, 5),
             f"{_PREFIX}deflection": rounded(self.deflection, 5),
+            **{
+                f"{_PREFIX}{channel}_by_{name.partition('.')[2]}": rounded(values[:, k], 4)
+                for name, values in self.by_lag.items()
+                for k, channel in enumerate(("log_resistance", "deflection"))
+            },
             f"{_PREFIX}noise_log_resistance": rounded(self.noise_log_resistance, 5),
             f"{_PREFIX}noise_deflection": rounded(self.noise_deflection, 5),
             f"{_PREFIX}noise_stage": rounded(self.noise_stage, 5),
@@ -96,6 +116,11 @@ class CalibrationDigest:
         def array(name: str) -> Floats:
             return finite_array(parameters.get(_PREFIX + name, []), _PREFIX + name)
 
+        by_lag = {}
+        for name in LAGS:
+            columns = [array(f"{c}_by_{name.partition('.')[2]}") for c in ("log_resistance", "deflection")]
+            if all(column.size for column in columns):
+                by_lag[name] = np.column_stack(columns)
         return cls(
             array("temperature"),
             array("count"),
@@ -104,6 +129,7 @@ class CalibrationDigest:
             tuple(array("noise_log_resistance").tolist()),
             tuple(array("noise_deflection").tolist()),
             tuple(array("noise_stage").tolist()),
+            by_lag,
         )
 
 
