@@ -19,6 +19,7 @@ from vo2_models.device.chain import _film_deflection, _sense, _structure, _termi
 from vo2_models.device.coefficients import BEHIND_FILM, CHANNELS, Sensor, neutral, sensor_index
 from vo2_models.device.coefficients import Coefficient as C
 from vo2_models.device.core import ENSEMBLE, _count_reversals, output_share
+from vo2_models.device.mode import mode_step
 from vo2_models.device.simulation import Simulation
 from vo2_models.device.state import Slot as S
 from vo2_models.fitting.enrichment import Correction
@@ -107,9 +108,11 @@ def through_structure(simulation: Simulation, columns: Floats, dt: float) -> Flo
     columns : (n, k) one deflection a column, from a long rest [m]
     dt : sample period [s]
     """
-    c, mode = simulation.prepared(dt)
+    c, _ = simulation.prepared(dt)
     if c[C.CREEP] == 0.0 and c[C.MODE_SHARE] == 0.0:
         return columns
+    # a column turns too often from sample to sample to go the way of the heat in between: straight is nearer
+    mode = mode_step(c[C.MODE_FREQUENCY], c[C.MODE_DAMPING], dt)
     out = np.ascontiguousarray(columns.T)
     _behind_structure(c, mode, dt, out)
     return np.ascontiguousarray(out.T)

@@ -40,6 +40,8 @@ LOOSE = 0.5
 """Standard deviation of a switching time, as a share of how long it was on, from which the switching is made up."""
 FAINT = 25.0
 """Score of a hypothesis from which a refit could make it worth a name."""
+ROOM = 0.9
+"""Share of a squared move of the constants from which it is the ambient temperature's alone."""
 QUIET = 1.4
 """Residual power over noise power up to which a channel's residual is taken for its noise."""
 UNSEEN = 50.0
@@ -392,7 +394,7 @@ def _explained(base: Study, clock: _Clock) -> Study:
         sound = _sound(option, judged, singles, evidence, limits)
         rivals, remaining = option.rivals, option.remaining
         taken_up = sound and len(problems) > 1
-        if sound and (shows or (taken_up and _stands_for_a_constant(option, singles, limits))):
+        if sound and (shows or (taken_up and _stands_for_constants(option, singles, base))):
             final, chosen = option.final, option.chosen
             break
         absorbed |= taken_up
@@ -545,16 +547,20 @@ def _dominates(chosen: Explanation, singles: Sequence[Explanation], limits: Thre
     return max(others, default=0.0) < limits.dominated * alone
 
 
-def _stands_for_a_constant(option: Option, singles: Sequence[Explanation], limits: Thresholds) -> bool:
+def _stands_for_constants(option: Option, singles: Sequence[Explanation], base: Study) -> bool:
     """Whether a change that the base could take up by its constants is what one effect is, and no other.
 
     On held-out blocks such an effect gains nothing, as the constants are moved there too. What tells is how far they
     would have to move from the calibration: a dead time that has grown is named, a gain that many effects mimic is not.
+    Nor is what a room does that has become warmer: that happens by itself.
     """
+    move = _thermal_move(base.evidence, base.evidence.residual) ** 2
+    if move[base.evidence.names.index("thermal.ambient")] > ROOM * float(np.sum(move)):
+        return False
     chosen = option.chosen
     own = chosen.hypotheses[0].record.id
     others = [e.gain for e in singles if e.hypotheses[0].record.id != own]
-    return len(chosen.keys) == 1 and chosen.gain - max(others, default=0.0) > limits.apart
+    return len(chosen.keys) == 1 and chosen.gain - max(others, default=0.0) > base.thresholds.apart
 
 
 def _significant(explanation: Explanation, limits: Thresholds) -> bool:
