@@ -24,6 +24,8 @@ Floats = NDArray[np.float64]
 
 _ITERATIONS = 100
 _SMALLEST_STEP = 1e-4
+_CRAMPED = 0.1
+"""Step from which the predictor and corrector get on."""
 _RIDGE = 1e-12
 """On the square of each mass, relative to what the samples weigh."""
 
@@ -176,6 +178,11 @@ def nonnegative_masses(
         centring = (after / gap) ** 3 * gap / size
         dx, db, ds, dm = _step(newton, state, mass, spread, centring - ds * dm)
         length = min(1.0, 0.995 * _reach(s, ds), 0.995 * _reach(m, dm))
+        if (
+            length < _CRAMPED
+        ):  # a mass far off the central path stops the corrector: back towards the path first
+            dx, db, ds, dm = _step(newton, state, mass, spread, gap / size)
+            length = min(1.0, 0.995 * _reach(s, ds), 0.995 * _reach(m, dm))
         x, b, s, m = x + length * dx, b + length * db, s + length * ds, m + length * dm
         iterations += 1
         if length < _SMALLEST_STEP:
