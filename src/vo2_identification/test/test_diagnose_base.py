@@ -15,6 +15,7 @@ from vo2_identification.diagnose.locate import breakdown
 from vo2_identification.diagnose.noise import NoiseModel
 from vo2_identification.diagnose.nominal import Nominal, basis_of, rounded_with_noise
 from vo2_identification.diagnose.part import prepare
+from vo2_identification.diagnose.reading import as_commanded, between_samples, current_reading
 from vo2_identification.diagnose.side_by_side import side_by_side
 from vo2_identification.diagnose.tangent import Tangent
 from vo2_models.device import DeviceModel
@@ -22,7 +23,7 @@ from vo2_models.device.bank import PlayBank
 from vo2_models.device.coefficients import Sensor, sensor_index
 from vo2_models.effects import effects
 from vo2_models.fitting.digest import CalibrationDigest
-from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
+from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 BEHIND = ("terminals", "structure", "sensor")
 """Stages of effects that the film does not feel."""
@@ -309,10 +310,47 @@ def test_what_is_faster_than_the_samples_is_no_resonance() -> None:
 def test_the_digest_keeps_how_the_model_changes_with_its_lags() -> None:
     rng = np.random.default_rng(8)
     lags = {"thermal.time_constant": rng.normal(size=(3, 2)), "driver.dead_time": rng.normal(size=(3, 2))}
-    digest = CalibrationDigest(np.arange(4.0), np.full(3, 5.0), np.zeros(3), np.zeros(3), by_lag=lags)
+    digest = CalibrationDigest(
+        np.arange(4.0), np.full(3, 5.0), np.zeros(3), np.zeros(3), by_lag=lags,
+        noise_current=(2e-6, 0.3), current_reading=(3e-5, 1.04),
+    )  # fmt: skip
     again = CalibrationDigest.from_parameters(digest.to_parameters())
     assert again is not None and again.by_lag.keys() == lags.keys()
+    assert (again.noise_current, again.current_reading) == (digest.noise_current, digest.current_reading)
     for name, values in lags.items():
         np.testing.assert_allclose(again.by_lag[name], values, rtol=1e-3)
     with pytest.raises(ValueError, match=r"thermal\.time_constant: found shape"):
         replace(digest, by_lag={"thermal.time_constant": np.zeros((2, 2))})
+
+
+def _read_back(line: tuple[float, float], noise: float) -> Recording:
+    """A command of a thousand steps, and a reading of its own with offset, gain and noise."""
+    rng = np.random.default_rng(12)
+    command = np.repeat(rng.uniform(4e-3, 8.4e-3, 250), 4)
+    reading = line[0] + line[1] * command + noise * rng.normal(size=command.size)
+    channels = {HEATER_CURRENT: reading, COMMANDED_CURRENT: command}
+    return Recording(1e-3 * np.arange(command.size), channels, "integrated")
+
+
+def test_a_current_reading_has_an_offset_a_gain_and_noise() -> None:
+    recording = _read_back((3e-5, 1.04), 2e-6)
+    line, noise = current_reading(recording)
+    assert line == pytest.approx((3e-5, 1.04), rel=0.02)
+    assert noise[0] == pytest.approx(2e-6 / 1.04, rel=0.1)
+    found = as_commanded(recording[HEATER_CURRENT], line) - recording[COMMANDED_CURRENT]
+    assert np.std(found) == pytest.approx(2e-6 / 1.04, rel=0.1)
+    assert abs(np.mean(found)) < 2e-7
+
+
+def test_a_log_that_repeats_the_command_is_no_reading() -> None:
+    assert current_reading(_read_back((0.0, 1.0), 0.0)) == ((), ())
+    plain = _read_back((0.0, 1.0), 2e-6)
+    alone = {HEATER_CURRENT: plain[HEATER_CURRENT]}
+    assert current_reading(Recording(plain.time_s, alone, "integrated")) == ((), ())
+    values = plain[HEATER_CURRENT]
+    assert as_commanded(values, ()) is values
+
+
+def test_a_reading_is_not_trusted_within_a_step() -> None:
+    found = between_samples(np.array([1.0, 1.002, 1.0, 1.5, 1.5]), 1e-3)
+    assert found == pytest.approx([0.0, 0.0, 0.0, 0.5 * (0.5 - 3e-3), 0.0])

@@ -17,7 +17,7 @@ from vo2_models.excitation import Excitation, composite_recording, damped_oscill
 from vo2_models.model_file import load_model_parameters, save_model_parameters
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
-DEVICE, SEED, DT = "integrated", 11, 1e-3
+DEVICE, SEED = "integrated", 11
 MEASURED = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)
 
 
@@ -26,24 +26,30 @@ def measured(recording: Recording) -> Recording:
     return Recording(recording.time_s, channels, recording.device)
 
 
-def concealed(effects=None, *, seed=4, samples=4000, colour=0.0, device_seed=SEED) -> Recording:
-    cold, hot = preset(DEVICE).operating_range
-    begin, end = surrogate_of_temperature(DEVICE, np.array([50.0, 70.0]))
+def concealed(
+    effects=None, *, seed=4, samples=4000, colour=0.0, device_seed=SEED, device=DEVICE
+) -> Recording:
+    nominal = preset(device)
+    dt = nominal.sample_period
+    cold, hot = nominal.operating_range
+    begin, end = surrogate_of_temperature(device, np.array([50.0, 70.0]))
     current = composite_recording(
-        cold, hot, transition=(begin, end), duration_s=samples * DT, sample_period_s=DT, seed=seed
-    ).sample(DT)
-    device = truth(DEVICE, seed=device_seed, effects=effects or {}, colour=colour)
-    return measured(device.simulate(current, seed=seed + 100))
+        cold, hot, transition=(begin, end), duration_s=samples * dt, sample_period_s=dt, seed=seed
+    ).sample(dt)
+    concealing = truth(device, seed=device_seed, effects=effects or {}, colour=colour)
+    return measured(concealing.simulate(current, seed=seed + 100))
 
 
-def calibrated(device_seed=SEED):
+def calibrated(device_seed=SEED, device=DEVICE):
     """Model fitted to smaller and smaller loops at one rate, on which a lag and a wider loop look the same."""
-    low, high = (preset(DEVICE).steady_temperature(i) for i in preset(DEVICE).operating_range)
+    nominal = preset(device)
+    low, high = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
     levels = damped_oscillation(np.linspace(low, high, 31), reversals_only=True)
-    rate = float(np.sum(np.abs(np.diff(levels)))) / 12.0
-    current = surrogate_of_temperature(DEVICE, Excitation.at_rate(levels, rate_per_s=rate).sample(DT))
-    calibration = truth(DEVICE, seed=device_seed).simulate(current, seed=1)
-    _, found = model_of([measured(calibration)], DEVICE, plays=12)
+    rate = float(np.sum(np.abs(np.diff(levels)))) / (12_000 * nominal.sample_period)
+    sweep = Excitation.at_rate(levels, rate_per_s=rate).sample(nominal.sample_period)
+    current = surrogate_of_temperature(device, sweep)
+    calibration = truth(device, seed=device_seed).simulate(current, seed=1)
+    _, found = model_of([measured(calibration)], device, plays=12)
     return found
 
 
@@ -130,6 +136,60 @@ def test_a_change_of_the_terminals_is_told_from_the_film(parameters) -> None:
     assert answer.effects[0].id == "series_resistance"
     assert answer.effects[0].parameters["resistance"].value == pytest.approx(900.0, rel=0.15)
     assert answer.location[0].signal == RESISTANCE
+
+
+def test_a_share_as_large_as_is_physical_may_stand_for_two_effects() -> None:
+    """A quick creep of half the deflection is nearly a late sensor beside a metal that expands more."""
+    late = {"sensor_lag:tip_deflection": {"signal": TIP_DEFLECTION, "time_constant": 0.245}}
+    both = concealed({**late, "phase_dependent_expansion": {"slope": 1.6e-8}}, device="peltier")
+    seen = study([both], calibrated(device="peltier"))
+    best = seen.singles[0]
+    assert best.keys == ("creep",) and best.cornered and not best.at_bound
+    assert seen.chosen is not None
+    assert set(seen.chosen.keys) == {"sensor_lag:tip_deflection", "phase_dependent_expansion"}
+    assert seen.chosen.chi_square < best.chi_square - 100.0
+    assert len(seen.chosen.coordinates) < len(best.coordinates)
+    late_by = dict(zip(seen.chosen.keys, seen.chosen.values, strict=True))["sensor_lag:tip_deflection"]
+    assert late_by["time_constant"] == pytest.approx(0.245, rel=0.1)
+
+
+READING = {"model.enrichment.current_reading": [2e-5, 1.02], "model.enrichment.noise_current": [4e-7]}
+
+
+def _read_back(recording: Recording) -> Recording:
+    """With the command, and what a rig with that calibration reads of the current."""
+    current, rng = recording[HEATER_CURRENT], np.random.default_rng(21)
+    reading = 2e-5 + 1.02 * current + 4e-7 * rng.normal(size=current.size)
+    command = concealed()[HEATER_CURRENT]
+    channels = {**recording.channels, HEATER_CURRENT: reading, COMMANDED_CURRENT: command}
+    return Recording(recording.time_s, channels, DEVICE)
+
+
+def test_a_current_that_is_read_back_shows_what_constants_hide(parameters) -> None:
+    dead = _read_back(concealed({"driver_deadzone": {"width": 6e-6}}))
+    answer = diagnose([dead], parameters | READING)
+    assert [e.id for e in answer.effects] == ["driver_deadzone"]
+    assert answer.effects[0].parameters["width"].value == pytest.approx(6e-6, rel=0.05)
+    assert answer.location[0].signal == HEATER_CURRENT
+    assert diagnose([_read_back(concealed())], parameters | READING).verdict == "agrees"
+    # of a rig whose calibration knows of no reading, nobody can say what its offset means
+    unread = diagnose([dead], parameters)
+    assert HEATER_CURRENT not in unread.fit
+    assert unread.effects == [] or unread.effects[0].id != "driver_deadzone"
+
+
+def test_a_driver_that_ripples_is_unknown_and_seen_in_its_current(parameters) -> None:
+    command = concealed()
+    ripple = 1.0 + 0.02 * np.sin(2.0 * np.pi * 37.0 * command.time_s)
+    device = truth(DEVICE, seed=SEED)
+    rippling = measured(device.simulate(command[HEATER_CURRENT] * ripple, seed=104))
+    answer = diagnose([_read_back(rippling)], parameters | READING)
+    assert [e.id for e in answer.effects] == ["unknown"]
+    assert answer.location[0].signal == HEATER_CURRENT
+    assert answer.location[0].frequency_hz[0] < 37.0 < answer.location[0].frequency_hz[1]
+    assert "periodically at 37" in answer.effects[0].statement
+    fit = answer.fit[HEATER_CURRENT]
+    assert fit.nrmse_after < 0.1 * fit.nrmse_before
 
 
 def test_a_limit_that_only_the_largest_currents_reach_is_found(parameters) -> None:

@@ -139,6 +139,8 @@ def _digest(result: FitResult, recording: Recording, first: bool) -> dict[str, V
     from vo2_models.fitting.digest import digest_of
     from vo2_models.fitting.enrichment import EnrichmentBasis
 
+    from vo2_identification.diagnose.reading import current_reading
+
     stop = result.ends[0]
     path, gap, tip = (
         values[1:stop]
@@ -152,8 +154,11 @@ def _digest(result: FitResult, recording: Recording, first: bool) -> dict[str, V
     # the model's y is -log10 R
     short = digest_of(path, -gap, tip, inside_degc=inside)
     stage = result.residuals.get(STAGE_TEMPERATURE)
+    reading, noise = current_reading(recording)
     return replace(
         short,
+        current_reading=reading,
+        noise_current=noise,
         noise_log_resistance=_noise(path, gap, result, RESISTANCE),
         noise_deflection=_noise(path, tip, result, TIP_DEFLECTION),
         noise_stage=() if stage is None else _noise(path, stage[1:stop], result, STAGE_TEMPERATURE),

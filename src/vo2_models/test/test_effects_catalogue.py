@@ -315,9 +315,8 @@ def test_a_second_thermal_mode_may_raise_the_steady_gain():
 )
 def test_samples_tell_what_fine_ones_tell(name, values):
     """Between samples 1 ms apart a film with a time constant of 1.8 ms goes no straight way."""
-    current = np.repeat(
-        np.random.default_rng(6).uniform(4.2e-3, 4.8e-3, 80), 4
-    )  # below the transition: no loop
+    # below the transition: no loop
+    current = np.repeat(np.random.default_rng(6).uniform(4.2e-3, 4.8e-3, 80), 4)
     device = truth("integrated", effects={name: values})
     coarse = device.simulate(current, noise=False)[TIP_DEFLECTION]
     fine = device.simulate(np.repeat(current, 20), dt=5e-5, noise=False)[TIP_DEFLECTION][19::20]
@@ -329,9 +328,8 @@ def test_samples_tell_what_fine_ones_tell(name, values):
 def test_the_after_effect_solves_its_equation_at_any_pace():
     """Growth and forgetting at once, as on slow ramps: against the differential equation, integrated by scipy."""
     onset, travel, amplitude, dt = 3.0, 0.4, 0.02, 0.125
-    current = np.r_[
-        np.linspace(0.0, -0.78, 600), np.full(900, -0.78), np.linspace(-0.78, -0.82, 60)
-    ]  # heating only
+    # heating only
+    current = np.r_[np.linspace(0.0, -0.78, 600), np.full(900, -0.78), np.linspace(-0.78, -0.82, 60)]
     values = {"amplitude": amplitude, "onset": onset, "travel": travel}
     base = truth("peltier").run(current, dt=dt)
     run = truth("peltier", effects={"slow_relaxation": values}).run(current, dt=dt)

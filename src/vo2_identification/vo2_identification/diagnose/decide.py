@@ -222,10 +222,23 @@ def _stable(
         one, other = (
             evidence.stack(plain.responses(hypothesis.effects(fold[index])), without) for fold in estimates
         )
-        size = float(np.sqrt((one @ one) * (other @ other)))
-        if size <= 0 or one @ other < 0.7 * size or not 0.16 < (one @ one) / (other @ other) < 6.25:
+        # as it is, or what of it the base cannot take up: of a mode's slow heat the base may have any part
+        if not any(
+            _alike(one, other, *left) for left in ((one, other), (evidence.left(one), evidence.left(other)))
+        ):
             return False
     return True
+
+
+def _alike(one: Floats, other: Floats, left_one: Floats, left_other: Floats) -> bool:
+    """Whether two whitened changes (N,) agree in pattern and within a factor of two and a half in size.
+
+    `left_one`, `left_other` : what is left of them where something else may take up a part.
+    """
+    own, others = float(one @ left_one), float(other @ left_other)
+    if own <= 0 or others <= 0:
+        return False
+    return bool(one @ left_other >= 0.7 * np.sqrt(own * others) and 0.16 < own / others < 6.25)
 
 
 def probabilities(

@@ -19,12 +19,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from vo2_models.recording import TIP_DEFLECTION
+from vo2_models.recording import HEATER_CURRENT, TIP_DEFLECTION
 
 from vo2_identification.diagnose.base import LoopShape, loop_shapes, thermal_spread
 from vo2_identification.diagnose.carry import through_structure
 from vo2_identification.diagnose.nominal import Nominal, Response
 from vo2_identification.diagnose.part import Part
+from vo2_identification.diagnose.reading import between_samples
 from vo2_identification.diagnose.side_by_side import side_by_side
 from vo2_identification.diagnose.tangent import Tangent
 
@@ -240,7 +241,11 @@ def gather(
         noise = corrected.noise[row.channel]
         measured, counts = part.observed[row.channel], part.valid[row.channel]
         predicted = response.channels[row.channel]
-        rough = shapes[row.channel].rough_at(response.temperature) if row.channel in shapes else 0.0
+        rough: Floats | float = 0.0
+        if row.channel in shapes:
+            rough = shapes[row.channel].rough_at(response.temperature)
+        elif row.channel == HEATER_CURRENT:
+            rough = between_samples(measured, noise.level)
         weight[row.where] = _reach(counts, len(noise.ar)) / np.sqrt(
             1.0 + (rough**2 + part.comb_level(row.channel) ** 2) / noise.level**2
         )

@@ -96,6 +96,11 @@ class Explanation:
             merged |= hypothesis.effects(values)
         return merged
 
+    @property
+    def cornered(self) -> bool:
+        """Whether a parameter has gone as far as is physical, even where the data would not drive it further."""
+        return any(self.hypotheses[k].ends(name, self.values[k][name]) for k, name in self.coordinates)
+
     def std(self, index: int, name: str) -> float:
         """Standard deviation of a parameter, 0 for one that was not fitted."""
         if (index, name) not in self.coordinates:
@@ -359,11 +364,7 @@ def fit_jointly(
     at_bound = tuple(
         f"{hypotheses[k].key}.{name}"
         for place, (k, name) in enumerate(coordinates)
-        if shows[place]
-        and any(
-            np.isclose(values[k][name], b, rtol=1e-6) and abs(b) < 1e9 and b != 0.0
-            for b in hypotheses[k].bounds(name)
-        )
+        if shows[place] and hypotheses[k].ends(name, values[k][name])
     )
     return Explanation(
         tuple(hypotheses), tuple(values), q, evidence.q - q, covariance, coordinates, change, problem.tangent,

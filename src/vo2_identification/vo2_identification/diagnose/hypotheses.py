@@ -100,6 +100,12 @@ class Hypothesis:
         upper = float(parameter.upper or 0.0)
         return float(parameter.lower or 0.0), min(upper, self.fastest) if parameter.unit == "Hz" else upper
 
+    def ends(self, name: str, value: float) -> bool:
+        """Whether a value is at the end of what is physical; nothing and anything are no ends."""
+        return any(
+            np.isclose(value, end, rtol=1e-6) and abs(end) < 1e9 and end != 0.0 for end in self.bounds(name)
+        )
+
     def logarithmic(self, name: str) -> bool:
         """Whether it is fitted by its logarithm: a shape parameter, which is positive and not neutral at zero."""
         parameter = self.parameter(name)
@@ -190,8 +196,9 @@ def _starts(
             )
             scales[p.name] = MAGNITUDE_STEP * middle
         elif middle:
-            # beside a frequency that the residual tells, the rest matters less
-            count = 2 if any(q.unit == "Hz" for q in free) else 5 if len(free) > 1 else 4
+            # beside a frequency that the residual tells, the rest matters less; by itself, nothing helps a start far off
+            alone = int(np.ceil(np.log2(9.0 * high / low))) + 1
+            count = 2 if any(q.unit == "Hz" for q in free) else 5 if len(free) > 1 else alone
             grids[p.name] = np.geomspace(low / 3, high * 3, count).tolist()
             scales[p.name] = 0.05
         else:

@@ -46,8 +46,8 @@ def breakdown(evidence: Evidence, residual: Floats, *, floor: float = 1.0) -> li
     """Split the excess energy of a whitened residual (N,) along every axis, channel by channel.
 
     Energy is that of the residual itself over the channel's noise power: of the innovations, a channel whose noise is
-    slow would seem to have less of a slow excess than it has. Only the spectrum is that of the innovations, above
-    whose flat floor a line stands out.
+    slow would seem to have less of a slow excess than it has. A sample counts by its weight. Only the spectrum is that
+    of the innovations, above whose flat floor a line stands out.
 
     Parameters
     ----------
@@ -68,8 +68,8 @@ def breakdown(evidence: Evidence, residual: Floats, *, floor: float = 1.0) -> li
                 continue
             e, w = residual[row.where], evidence.weight[row.where]
             counts, noise = w > 0, evidence.nominal.noise[channel]
-            weight = np.where(counts, w, 1.0)
-            energy = np.where(counts, (noise.color(e / weight) / noise.level) ** 2 - floor / weight**2, 0.0)
+            plain = noise.color(e / np.where(counts, w, 1.0)) / noise.level
+            energy = np.where(counts, (w * plain) ** 2 - floor, 0.0)
             direction, amplitude, order = _history(response.temperature)
             pieces["energy"].append(energy)
             pieces["time"].append(part.time_s - part.time_s[0] + offset)

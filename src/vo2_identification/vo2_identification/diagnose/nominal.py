@@ -151,6 +151,7 @@ class Nominal:
             RESISTANCE: digest.noise_log_resistance if digest else (),
             TIP_DEFLECTION: digest.noise_deflection if digest else (),
             STAGE_TEMPERATURE: digest.noise_stage if digest else (),
+            HEATER_CURRENT: digest.noise_current if digest else (),
         }
         noise = {}
         for channel in CHANNELS:

@@ -11,6 +11,7 @@ from vo2_models.device import preset
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
 
 from vo2_identification.diagnose.nominal import Nominal, drive_of, judged
+from vo2_identification.diagnose.reading import as_commanded
 
 __all__ = ["Part", "prepare", "regular", "value_step"]
 
@@ -103,6 +104,8 @@ def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") 
     observed, valid = {}, {}
     for channel in wanted:
         values = judged(channel, recording[channel])
+        if channel == HEATER_CURRENT and nominal.digest:
+            values = as_commanded(values, nominal.digest.current_reading)
         good = np.isfinite(values)
         if np.count_nonzero(good) < 100:
             continue

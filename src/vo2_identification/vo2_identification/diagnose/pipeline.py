@@ -480,11 +480,36 @@ def _options(
     alone = option_of(base.nominal, evidence, first, singles, tick=clock.tick)
     clock.say("looking for a second effect")
     pair = pair_of(base.nominal, evidence, alone, candidates, limits, tick=clock.tick)
+    if pair is None and first.cornered:
+        pair = _instead(base, alone, singles, candidates, clock)
     if pair:
         needed = limits.complete_matched if _matched(pair, alone, limits) else limits.complete_pair
         if _complete(pair.chosen, pair.remaining, evidence, limits) >= needed:
             return [pair, alone]
     return [alone]
+
+
+def _instead(
+    base: Study,
+    alone: Option,
+    singles: Sequence[Explanation],
+    candidates: Sequence[Hypothesis],
+    clock: _Clock,
+) -> Option | None:
+    """Two effects that fit better than one which had to go as far as is physical: it may stand for both of them.
+
+    They begin with the best single effect that keeps away from its bounds, and may resemble each other: both must beat
+    what resembles them.
+    """
+    limits = replace(base.thresholds, alike=1.0)
+    inside = next((e for e in singles if not e.cornered), None)
+    if inside is None or inside.gain <= limits.least(inside.hypotheses[0]):
+        return None
+    clock.say("looking for two effects in the place of one")
+    other = option_of(base.nominal, base.evidence, inside, singles, tick=clock.tick)
+    pair = pair_of(base.nominal, base.evidence, other, candidates, limits, tick=clock.tick)
+    better = pair is not None and pair.chosen.chi_square < alone.chosen.chi_square - limits.rival
+    return pair if better else None
 
 
 def _matched(pair: Option, alone: Option, limits: Thresholds) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter, welch
 from vo2_models.fitting.enrichment import cubic_spline
+from vo2_models.recording import HEATER_CURRENT
 
 from vo2_identification.diagnose.evidence import Evidence, Row
 from vo2_identification.diagnose.nominal import Response
@@ -175,13 +176,17 @@ def _groups(evidence: Evidence, rows: list[Row], residual: Floats) -> dict[str, 
         )
     if tone:
         blocks = []
+        driven = rows[0].channel == HEATER_CURRENT
         for row in rows:
             part = evidence.parts[row.part]
             phase = 2 * np.pi * tone * part.time_s
             raw = np.column_stack([f(k * phase) for k in (1, 2, 3) for f in (np.sin, np.cos)])
+            if driven:
+                raw = np.column_stack([raw, raw * part.current[:, None]])
             noise = evidence.nominal.noise[row.channel]
             blocks.append(noise.whiten(raw) * evidence.weight[row.where, None])
-        found["tone"] = (f"time, periodically at {tone:.4g} Hz: interference", np.concatenate(blocks))
+        cause = "a driver that ripples" if driven else "interference"
+        found["tone"] = (f"time, periodically at {tone:.4g} Hz: {cause}", np.concatenate(blocks))
     return found
 
 

@@ -8,9 +8,9 @@ EFFECT = Effect(
     id="creep",
     stage="structure",
     parameters=(
-        constant_of("share", 0, "1", "part of the deflection that creeps", -0.5, 0.9),
+        constant_of("share", 0, "1", "part of the deflection that creeps", -0.5, 0.5),
         constant_of("time_constant", 1, "s", "time constant of the creep", 1e-4, 1e6),
-        constant_of("gain", 0, "1", "change of the resting deflection that comes with it", -0.5, 0.9),
+        constant_of("gain", 0, "1", "change of the resting deflection that comes with it", -0.5, 0.5),
     ),
     apply=setting(share=Coefficient.CREEP, time_constant=Coefficient.CREEP_TIME, gain=Coefficient.CREEP_GAIN),
     channels=(TIP_DEFLECTION,),

@@ -9,7 +9,7 @@ EFFECT = Effect(
     parameters=(constant_of("rate", HUGE, "A/s", "fastest change of the current", 1e-9, HUGE),),
     apply=setting(rate=Coefficient.SLEW),
     channels=ALL,
-    typical={"integrated": {"rate": (0.3, 2.0)}, "peltier": {"rate": (0.02, 0.15)}},
+    typical={"integrated": {"rate": (0.3, 2.0)}, "peltier": {"rate": (0.03, 1.0)}},
     equation="|di/dt| <= rate",
     excitation="large steps; the logged current shows ramps",
     source="any text on drives",

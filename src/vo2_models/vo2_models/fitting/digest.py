@@ -40,6 +40,8 @@ DIGEST_PARAMETERS = (
     Parameter(f"{_PREFIX}noise_log_resistance", [], "1", "noise of log10 R: innovation, then AR terms", kind="float_array"),
     Parameter(f"{_PREFIX}noise_deflection", [], "m", "noise of deflection: innovation, then AR terms", kind="float_array"),
     Parameter(f"{_PREFIX}noise_stage", [], "K", "noise of stage temperature: innovation, then AR terms", kind="float_array"),
+    Parameter(f"{_PREFIX}noise_current", [], "A", "noise of a current reading: innovation, then AR terms", kind="float_array"),
+    Parameter(f"{_PREFIX}current_reading", [], "A", "current reading at none, and per commanded ampere", kind="float_array"),
 )  # fmt: skip
 """Records of the section `model.enrichment.*` of a model file; empty arrays mean that it was not identified."""
 
@@ -54,8 +56,10 @@ class CalibrationDigest:
     count : (n,) number of samples in each block
     log_resistance : (n,) mean residual of log10 R
     deflection : (n,) mean residual [m]
-    noise_log_resistance, noise_deflection, noise_stage : innovation deviation, then AR coefficients; empty
-        where unknown
+    noise_log_resistance, noise_deflection, noise_stage, noise_current : innovation deviation, then AR coefficients;
+        empty where unknown
+    current_reading : what a current reading shows at no current [A], and per commanded ampere; empty where the logged
+        current was no reading of its own
     by_lag : name of `LAGS` -> (n, 2) change of the model's log10 R [1/s] and deflection [m/s] by it; may lack names
     """
 
@@ -66,6 +70,8 @@ class CalibrationDigest:
     noise_log_resistance: tuple[float, ...] = ()
     noise_deflection: tuple[float, ...] = ()
     noise_stage: tuple[float, ...] = ()
+    noise_current: tuple[float, ...] = ()
+    current_reading: tuple[float, ...] = ()
     by_lag: Mapping[str, Floats] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -105,6 +111,8 @@ class CalibrationDigest:
             f"{_PREFIX}noise_log_resistance": rounded(self.noise_log_resistance, 5),
             f"{_PREFIX}noise_deflection": rounded(self.noise_deflection, 5),
             f"{_PREFIX}noise_stage": rounded(self.noise_stage, 5),
+            f"{_PREFIX}noise_current": rounded(self.noise_current, 5),
+            f"{_PREFIX}current_reading": rounded(self.current_reading, 7),
         }
 
     @classmethod
@@ -129,6 +137,8 @@ class CalibrationDigest:
             tuple(array("noise_log_resistance").tolist()),
             tuple(array("noise_deflection").tolist()),
             tuple(array("noise_stage").tolist()),
+            tuple(array("noise_current").tolist()),
+            tuple(array("current_reading").tolist()),
             by_lag,
         )
 

@@ -178,9 +178,8 @@ def nonnegative_masses(
         centring = (after / gap) ** 3 * gap / size
         dx, db, ds, dm = _step(newton, state, mass, spread, centring - ds * dm)
         length = min(1.0, 0.995 * _reach(s, ds), 0.995 * _reach(m, dm))
-        if (
-            length < _CRAMPED
-        ):  # a mass far off the central path stops the corrector: back towards the path first
+        if length < _CRAMPED:
+            # a mass far off the central path stops the corrector: back towards the path first
             dx, db, ds, dm = _step(newton, state, mass, spread, gap / size)
             length = min(1.0, 0.995 * _reach(s, ds), 0.995 * _reach(m, dm))
         x, b, s, m = x + length * dx, b + length * db, s + length * ds, m + length * dm
