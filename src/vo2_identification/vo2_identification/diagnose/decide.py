@@ -52,7 +52,7 @@ class Thresholds:
     apart : difference of q (10 sigma) to every other effect with which one is named that constants could stand for
     tie : pairs within this share of what the best leaves over are equally good: the one with fewer parameters is named
     pull : squared move of the thermal parameters, in their standard deviations, from which a recording differs by a
-        constant even if no effect saves a name's gain; the largest of 128 recordings without effect was 16
+        constant even if no effect saves a name's gain; of some hundred unchanged devices none moved half as far
     pull_told : the same from which it is told beside a verdict
     temper : how many times more the likelihood ratio must be than white noise would need
     """
