@@ -10,6 +10,7 @@ from vo2_identification.challenge.excitation import (
     TEST_SAMPLES,
     calibration_current,
     informative_current,
+    loop_current,
     played_current,
     triangle_current,
 )
@@ -150,6 +151,32 @@ def test_triangle_is_equal_slow_major_loops(name):
     case, other = draw_case(5, plan, excitation="triangle"), draw_case(5, plan)
     assert np.array_equal(case.calibration[RESISTANCE], other.calibration[RESISTANCE])
     assert not np.array_equal(case.test[COMMANDED_CURRENT][1:], other.test[COMMANDED_CURRENT][1:])
+
+
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_one_loop_goes_up_and_down_once(name):
+    preset = PRESETS[name]
+    current = loop_current(np.random.default_rng(0), preset)
+    temperature = preset.steady_temperature(current[300:-60])
+    top = int(np.argmax(temperature))
+    assert 1000 < top < 1400 and 1000 < temperature.size - top < 1400
+    inside = slice(20, -20)  # the current leads a slow stage at the turns
+    assert np.all(np.diff(temperature[:top][inside]) > 0) and np.all(np.diff(temperature[top:][inside]) < 0)
+    case = draw_case(5, plan_case(5, 0, only_effects=["creep"], device=name), excitation="loop")
+    assert case.answer["duration_s"] == pytest.approx(current.size * preset.sample_period, rel=0.2)
+
+
+def test_a_drift_keeps_its_pace_in_the_follow_up():
+    plan = plan_case(5, 0, only_effects=["sensor_gain_drift"], device="integrated")
+    case = draw_case(5, plan, excitation="loop")
+    rate = case.answer["effects"][0]["parameters"]["rate"]["value"]
+    signal = case.answer["effects"][0]["signal"]
+    current = np.full(4000, 8e-3)
+    drifting = follow_up_recording(5, plan, case.answer, current)[signal]
+    clean = case.answer | {"effects": []}
+    still = follow_up_recording(5, plan, clean, current)[signal]
+    grown = np.median(drifting[-200:]) / np.median(still[-200:]) - 1.0
+    assert grown == pytest.approx(rate * 4.0, rel=0.1)
 
 
 def test_follow_up_repeats_device_and_effect():

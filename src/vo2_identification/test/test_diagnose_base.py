@@ -9,9 +9,9 @@ from scipy.signal import lfilter
 from vo2_identification.diagnose.base import Coverage, _block_covariance, coverage
 from vo2_identification.diagnose.carry import carried, corrected_film
 from vo2_identification.diagnose.evidence import gather
-from vo2_identification.diagnose.explain import fit_jointly, switched
-from vo2_identification.diagnose.hypotheses import Hypothesis
-from vo2_identification.diagnose.locate import breakdown
+from vo2_identification.diagnose.explain import fit_jointly, score, switched
+from vo2_identification.diagnose.hypotheses import MAGNITUDE_STEP, Hypothesis, hypotheses, windowed
+from vo2_identification.diagnose.locate import breakdown, locate
 from vo2_identification.diagnose.noise import NoiseModel
 from vo2_identification.diagnose.nominal import Nominal, basis_of, rounded_with_noise
 from vo2_identification.diagnose.part import prepare
@@ -20,7 +20,7 @@ from vo2_identification.diagnose.side_by_side import side_by_side
 from vo2_identification.diagnose.tangent import Tangent
 from vo2_models.device import DeviceModel
 from vo2_models.device.bank import PlayBank
-from vo2_models.device.coefficients import Sensor, sensor_index
+from vo2_models.device.coefficients import HUGE, Sensor, sensor_index
 from vo2_models.effects import effects
 from vo2_models.fitting.digest import CalibrationDigest
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
@@ -193,6 +193,32 @@ def test_switching_times_are_found_by_search() -> None:
     assert 0.4 < found["rise"] < 1.2
 
 
+def test_what_stays_on_is_never_switched_off() -> None:
+    evidence = _changed({"laser_heating": {"rise": 0.8, "start": 0.731}})
+    hypothesis = Hypothesis(
+        effects()["laser_heating"], "", ({"rise": 0.2},), {"rise": 0.1, "start": 0.01, "stop": 0.01}
+    )
+    found = switched(evidence, hypothesis, {"rise": 2.0, "start": 0.5, "stop": HUGE}, evidence.residual)
+    assert abs(found["start"] - 0.731) < 0.02
+    assert 0.4 < found["rise"] < 1.2  # the size is found, the time is not multiplied with it
+    assert found["stop"] == HUGE
+
+
+def test_when_it_was_on_is_asked_of_the_residual_at_hand() -> None:
+    """What one effect leaves over may tell other times than the whole residual did."""
+    early = _changed({"laser_heating": {"rise": 0.8, "start": 0.4, "stop": 1.1}})
+    late = _changed({"laser_heating": {"rise": 0.8, "start": 1.9, "stop": 2.6}})
+    left = [e.left(e.residual) for e in (early, late)]
+    before = next(h for h in hypotheses(early, "integrated", left[0]) if h.record.id == "laser_heating")
+    after = windowed(late, before, left[1])
+    for hypothesis, start, stop in ((before, 0.4, 1.1), (after, 1.9, 2.6)):
+        windows = {(s["start"], s["stop"]) for s in hypothesis.starts if "start" in s}
+        assert any(abs(on - start) < 0.3 and abs(off - stop) < 0.3 for on, off in windows)
+    assert not any(s.get("stop", HUGE) < 1.5 for s in after.starts)
+    other = next(h for h in hypotheses(early, "integrated", left[0]) if h.record.id == "transition_kinetics")
+    assert windowed(late, other, left[1]) is other
+
+
 def _changed(changes: dict[str, dict[str, float | str]], size: int = 3000, ar: tuple[float, ...] = ()):
     """The problem of a device on which effects act, taken to have noise of one colour in the resistance."""
     nominal, current, dt = replace(_model(), noise={RESISTANCE: NoiseModel(1e-3, ar)}), _drive(size), 1e-3
@@ -239,6 +265,16 @@ def test_a_bound_stops_one_effect_and_not_the_other() -> None:
     assert found.values[1]["time_constant"] == pytest.approx(alone.values[0]["time_constant"], rel=0.02)
 
 
+def test_on_a_short_recording_nothing_is_tried_that_is_not_physical() -> None:
+    """In a fifth of a second a drift that bends visibly would bend faster than the catalogue allows."""
+    evidence = _changed({"ambient_drift": {"rate": 0.5}}, size=200)
+    left = evidence.left(evidence.residual)
+    drifts = [h for h in hypotheses(evidence, "integrated", left) if h.record.id == "ambient_drift"]
+    assert drifts[0].scales["curvature"] / MAGNITUDE_STEP > drifts[0].bounds("curvature")[1]
+    found = score(evidence, drifts, evidence.residual)
+    assert 0 < abs(found[0].start["curvature"]) <= drifts[0].bounds("curvature")[1]
+
+
 def test_a_place_is_told_by_the_change_over_the_noise_power() -> None:
     """Slow noise must not hide that a slow change is in a channel: its innovations would tell less of it."""
     evidence = _changed({}, ar=(0.9,))
@@ -251,6 +287,29 @@ def test_a_place_is_told_by_the_change_over_the_noise_power() -> None:
     level = 1e-3 / np.sqrt(1 - 0.9**2)
     counts = evidence.weight > 0
     assert found[0].excess == pytest.approx(np.sum((plain[counts] / level) ** 2), rel=1e-6)
+
+
+def test_a_branch_is_told_by_its_energy_per_sample() -> None:
+    """Three times as long on one branch, or settling at its end, makes it no place."""
+    nominal, dt = replace(_model(), noise={RESISTANCE: NoiseModel(1e-3)}), 1e-3
+    up, down = np.linspace(4e-3, 8.4e-3, 1500), np.linspace(8.4e-3, 4e-3, 500)
+    current = np.concatenate([np.full(100, 4e-3), up, down, np.full(900, 4e-3)])
+    shown = nominal.respond(current, dt)
+    recording = Recording(
+        dt * np.arange(current.size),
+        {HEATER_CURRENT: current, RESISTANCE: 10.0 ** shown.channels[RESISTANCE]},
+        "integrated",
+    )
+    evidence = gather(nominal, [prepare(recording, nominal)])
+    rate = np.gradient(shown.temperature)
+    counts = evidence.weight > 0
+    for change, place in (
+        (np.ones(rate.size), "both"),
+        (np.where(rate > 0, 1.0, 0.3), "heating"),
+        (np.where(rate > 0, 0.3, 1.0), "cooling"),  # less energy while cooling than while heating, all in all
+    ):
+        found = locate(evidence, breakdown(evidence, change * counts, floor=0.0))
+        assert found[0].branch == place
 
 
 @pytest.mark.parametrize("ar", [(), (0.9,)])
@@ -319,6 +378,9 @@ def test_the_digest_keeps_how_the_model_changes_with_its_lags() -> None:
     assert (again.noise_current, again.current_reading) == (digest.noise_current, digest.current_reading)
     for name, values in lags.items():
         np.testing.assert_allclose(again.by_lag[name], values, rtol=1e-3)
+    for wrong in ((1.0,), (0.0, 0.0)):
+        with pytest.raises(ValueError, match=r"current_reading: found .* an offset and a gain"):
+            replace(digest, current_reading=wrong)
     with pytest.raises(ValueError, match=r"thermal\.time_constant: found shape"):
         replace(digest, by_lag={"thermal.time_constant": np.zeros((2, 2))})
 
@@ -349,6 +411,10 @@ def test_a_log_that_repeats_the_command_is_no_reading() -> None:
     assert current_reading(Recording(plain.time_s, alone, "integrated")) == ((), ())
     values = plain[HEATER_CURRENT]
     assert as_commanded(values, ()) is values
+
+
+def test_a_loose_wire_is_no_reading() -> None:
+    assert current_reading(_read_back((0.0, 0.0), 2e-6)) == ((), ())
 
 
 def test_a_reading_is_not_trusted_within_a_step() -> None:

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 from vo2_identification.diagnose.check import Unusable, check_recording
 from vo2_identification.diagnose.decide import probabilities
-from vo2_identification.diagnose.locate import turning_points
+from vo2_identification.diagnose.locate import one_loop, turning_points
 from vo2_identification.diagnose.next_experiment import library
 from vo2_identification.diagnose.noise import NoiseModel, fit_noise, level_from_differences
 from vo2_identification.diagnose.nominal import Nominal
@@ -180,6 +180,27 @@ def test_turning_points_are_wiped_out_by_larger_ones() -> None:
     last, before = turning_points(np.interp(np.linspace(0, 6, 601), np.arange(7), path))
     assert last[350] == pytest.approx(6.0) and before[350] == pytest.approx(4.0)
     assert last[-1] == pytest.approx(11.0) and before[-1] == pytest.approx(0.0)
+
+
+def _up_and_down(size: int) -> np.ndarray:
+    return np.concatenate([np.full(20, 25.0), np.linspace(25, 80, size), np.linspace(80, 25, size)])
+
+
+def test_equal_loops_are_one_loop() -> None:
+    slow = _up_and_down(500)
+    assert one_loop([slow], [1e-3])
+    assert one_loop([np.tile(slow, 4)], [1e-3])
+    assert one_loop([slow, slow + 0.3], [1e-3, 1e-3])
+    assert one_loop([np.full(600, 25.0)], [1e-3])
+
+
+def test_another_rate_or_smaller_loops_are_more_than_one() -> None:
+    slow, fast = _up_and_down(500), _up_and_down(100)
+    assert not one_loop([slow, fast], [1e-3, 1e-3])
+    assert not one_loop([slow, slow], [1e-3, 1e-4])
+    assert not one_loop([np.concatenate([slow, fast])], [1e-3])
+    fan = [np.linspace(a, b, 100) for turn in (45, 50, 55, 60) for a, b in ((80, turn), (turn, 80))]
+    assert not one_loop([np.concatenate([slow, np.linspace(25, 80, 500), *fan])], [1e-3])
 
 
 def test_probabilities_order_rivals_and_sum_to_one() -> None:

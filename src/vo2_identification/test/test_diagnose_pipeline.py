@@ -11,6 +11,7 @@ from vo2_identification.diagnose.evidence import gather
 from vo2_identification.diagnose.files import write_results
 from vo2_identification.diagnose.nominal import Nominal
 from vo2_identification.diagnose.part import prepare
+from vo2_identification.diagnose.statement import assemble
 from vo2_identification.fit import model_of
 from vo2_models.device import DeviceModel, preset, surrogate_of_temperature, truth
 from vo2_models.excitation import Excitation, composite_recording, damped_oscillation
@@ -40,7 +41,7 @@ def concealed(
     return measured(concealing.simulate(current, seed=seed + 100))
 
 
-def calibrated(device_seed=SEED, device=DEVICE):
+def calibrated(device_seed=SEED, device=DEVICE, read=measured):
     """Model fitted to smaller and smaller loops at one rate, on which a lag and a wider loop look the same."""
     nominal = preset(device)
     low, high = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
@@ -49,7 +50,7 @@ def calibrated(device_seed=SEED, device=DEVICE):
     sweep = Excitation.at_rate(levels, rate_per_s=rate).sample(nominal.sample_period)
     current = surrogate_of_temperature(device, sweep)
     calibration = truth(device, seed=device_seed).simulate(current, seed=1)
-    _, found = model_of([measured(calibration)], device, plays=12)
+    _, found = model_of([read(calibration)], device, plays=12)
     return found
 
 
@@ -153,37 +154,87 @@ def test_a_share_as_large_as_is_physical_may_stand_for_two_effects() -> None:
     assert late_by["time_constant"] == pytest.approx(0.245, rel=0.1)
 
 
-READING = {"model.enrichment.current_reading": [2e-5, 1.02], "model.enrichment.noise_current": [4e-7]}
-
-
-def _read_back(recording: Recording) -> Recording:
-    """With the command, and what a rig with that calibration reads of the current."""
-    current, rng = recording[HEATER_CURRENT], np.random.default_rng(21)
+def read_back(recording: Recording, command: np.ndarray, seed: int = 21) -> Recording:
+    """With the command, and what a rig reads of the current: with an offset, a gain and noise."""
+    current, rng = recording[HEATER_CURRENT], np.random.default_rng(seed)
     reading = 2e-5 + 1.02 * current + 4e-7 * rng.normal(size=current.size)
-    command = concealed()[HEATER_CURRENT]
     channels = {**recording.channels, HEATER_CURRENT: reading, COMMANDED_CURRENT: command}
     return Recording(recording.time_s, channels, DEVICE)
 
 
-def test_a_current_that_is_read_back_shows_what_constants_hide(parameters) -> None:
-    dead = _read_back(concealed({"driver_deadzone": {"width": 6e-6}}))
-    answer = diagnose([dead], parameters | READING)
+@pytest.fixture(scope="module")
+def read_parameters():
+    """Model of the same device, its current read back during the calibration."""
+
+    def read(calibration: Recording) -> Recording:
+        return read_back(measured(calibration), calibration[HEATER_CURRENT], seed=22)
+
+    return calibrated(read=read)
+
+
+@pytest.fixture(scope="module")
+def late_on_one_loop(parameters):
+    """A late sensor, recorded on one slow loop only."""
+    dt = preset(DEVICE).sample_period
+    cold, hot = preset(DEVICE).operating_range
+    levels = np.concatenate([np.full(100, cold), np.linspace(cold, hot, 1200), np.linspace(hot, cold, 1200)])
+    late = {"sensor_lag:film_resistance": {"signal": RESISTANCE, "time_constant": 1.5 * dt}}
+    loop = measured(truth(DEVICE, seed=SEED, effects=late).simulate(levels, seed=31))
+    return late, loop, study([loop], parameters)
+
+
+def test_on_one_loop_what_is_found_has_rivals_and_an_experiment(late_on_one_loop) -> None:
+    _, _, seen = late_on_one_loop
+    answer = assemble(seen)
+    assert seen.one_loop and any("one and the same loop" in text for text in answer.limits)
+    rivals = {name for pair in seen.rival_pairs for name in pair}
+    assert {"clock_offset", "sensor_lag"} <= rivals
+    assert answer.next_experiment is not None and answer.next_experiment.kind == "excitation"
+    assert max(c.probability for c in answer.candidates) < 0.9
+
+
+def test_with_another_recording_the_late_sensor_is_told(late_on_one_loop, parameters) -> None:
+    late, loop, _ = late_on_one_loop
+    seen = study([loop, concealed(late)], parameters)
+    assert not seen.one_loop
+    assert seen.chosen is not None and seen.chosen.keys == ("sensor_lag:film_resistance",)
+    assert seen.rival_pairs == ()
+
+
+def test_a_light_that_stays_on_has_no_time_of_going_off(parameters) -> None:
+    answer = diagnose([concealed({"laser_heating": {"rise": 0.3, "start": 1.6}})], parameters)
+    assert [e.id for e in answer.effects] == ["laser_heating"]
+    assert set(answer.effects[0].parameters) == {"rise", "start"}
+    assert answer.effects[0].parameters["start"].value == pytest.approx(1.6, abs=0.1)
+
+
+def test_a_calibration_tells_what_a_current_reading_shows(parameters, read_parameters) -> None:
+    line = read_parameters["model.enrichment.current_reading"]
+    assert line == pytest.approx([2e-5, 1.02], rel=0.01)
+    assert read_parameters["model.enrichment.noise_current"][0] == pytest.approx(4e-7 / 1.02, rel=0.05)
+    assert parameters["model.enrichment.current_reading"] == []
+
+
+def test_a_current_that_is_read_back_shows_what_constants_hide(parameters, read_parameters) -> None:
+    command = concealed()[HEATER_CURRENT]
+    dead = read_back(concealed({"driver_deadzone": {"width": 6e-6}}), command)
+    answer = diagnose([dead], read_parameters)
     assert [e.id for e in answer.effects] == ["driver_deadzone"]
     assert answer.effects[0].parameters["width"].value == pytest.approx(6e-6, rel=0.05)
     assert answer.location[0].signal == HEATER_CURRENT
-    assert diagnose([_read_back(concealed())], parameters | READING).verdict == "agrees"
+    assert diagnose([read_back(concealed(), command)], read_parameters).verdict == "agrees"
     # of a rig whose calibration knows of no reading, nobody can say what its offset means
     unread = diagnose([dead], parameters)
     assert HEATER_CURRENT not in unread.fit
     assert unread.effects == [] or unread.effects[0].id != "driver_deadzone"
 
 
-def test_a_driver_that_ripples_is_unknown_and_seen_in_its_current(parameters) -> None:
+def test_a_driver_that_ripples_is_unknown_and_seen_in_its_current(read_parameters) -> None:
     command = concealed()
     ripple = 1.0 + 0.02 * np.sin(2.0 * np.pi * 37.0 * command.time_s)
     device = truth(DEVICE, seed=SEED)
     rippling = measured(device.simulate(command[HEATER_CURRENT] * ripple, seed=104))
-    answer = diagnose([_read_back(rippling)], parameters | READING)
+    answer = diagnose([read_back(rippling, command[HEATER_CURRENT])], read_parameters)
     assert [e.id for e in answer.effects] == ["unknown"]
     assert answer.location[0].signal == HEATER_CURRENT
     assert answer.location[0].frequency_hz[0] < 37.0 < answer.location[0].frequency_hz[1]

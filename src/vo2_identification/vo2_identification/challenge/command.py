@@ -46,7 +46,7 @@ def _parser() -> argparse.ArgumentParser:
         "--excitation",
         choices=list(EXCITATIONS),
         default="informative",
-        help="what is recorded; on a slow major triangle many effects look alike",
+        help="what is recorded; on slow major loops, and more so on a single one, many effects look alike",
     )
     parser.add_argument(
         "--timeout", type=float, default=300.0, help="seconds for each fit and each diagnosis"

@@ -18,7 +18,7 @@ from vo2_identification.challenge.catalogue import CATALOGUE, OUTSIDE, draw_effe
 from vo2_identification.challenge.devices import PRESETS, Device, draw_device
 from vo2_identification.challenge.effect import ConcealedEffect, Context, Drawn
 from vo2_identification.challenge.excess import branch_of, excess_by_channel
-from vo2_identification.challenge.excitation import EXCITATIONS, TEST_SAMPLES, calibration_current
+from vo2_identification.challenge.excitation import EXCITATIONS, calibration_current
 from vo2_identification.challenge.rig import Noise, Plan, Truth, draw_rig_noise, log_channels, simulate
 
 __all__ = ["KINDS", "Case", "CasePlan", "draw_case", "follow_up_recording", "plan_case"]
@@ -171,6 +171,7 @@ def draw_case(
         "index": plan.index,
         "kind": plan.kind,
         "device": plan.device,
+        "duration_s": context.duration,
         "logged_current": "shunt" if shunt else "set",
         "misfit": misfit,
         "family": family,
@@ -201,7 +202,7 @@ def follow_up_recording(
     _, device, noise, shunt = _case_parts(seed, plan, misfit, family)
     rng = np.random.default_rng([seed, 31, plan.index])
     # drifts keep the pace that they had in the first recording
-    context = Context(rng, device, TEST_SAMPLES * device.preset.sample_period)
+    context = Context(rng, device, answer["duration_s"])
     together = Plan()
     for entry in answer["effects"]:
         parameters = {name: (p["value"], p["unit"]) for name, p in entry["parameters"].items()}

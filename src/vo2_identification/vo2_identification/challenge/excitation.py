@@ -20,6 +20,7 @@ __all__ = [
     "TEST_SAMPLES",
     "calibration_current",
     "informative_current",
+    "loop_current",
     "played_current",
     "triangle_current",
 ]
@@ -185,6 +186,21 @@ def informative_current(rng: np.random.Generator, preset: Preset, samples: int =
     return np.concatenate([head[:room], tail])
 
 
+def loop_current(rng: np.random.Generator, preset: Preset) -> Array:
+    """Return commanded currents [A] (n,) of one slow major loop, and nothing else.
+
+    What a rig records first. On it effects are confounded by design: there is one rate, one history and one loop.
+    """
+    profile = _Profile(preset, preset.ambient)
+    low, high = profile.ends
+    profile.pieces.append(np.zeros(60))
+    profile.ramp(low, 80 if profile.quick else 160)
+    for end in (high, low):
+        profile.ramp(end, int(rng.integers(1100, 1300)))
+    profile.hold(60)
+    return profile.current()
+
+
 def triangle_current(rng: np.random.Generator, preset: Preset, samples: int = TEST_SAMPLES) -> Array:
     """Return commanded currents [A] (samples,) of equal slow major loops and nothing else.
 
@@ -203,7 +219,7 @@ def triangle_current(rng: np.random.Generator, preset: Preset, samples: int = TE
     return profile.current()[:samples]
 
 
-EXCITATIONS = {"informative": informative_current, "triangle": triangle_current}
+EXCITATIONS = {"informative": informative_current, "triangle": triangle_current, "loop": loop_current}
 """What the recording to be diagnosed may be."""
 
 

@@ -48,13 +48,15 @@ class Thresholds:
     excess, channel_excess : where nothing is named, a recording differs if the residual's power exceeds the noise
         by this much, or a single channel's by that
     plain : excess below which a residual that nothing predicts on held-out blocks is taken for noise or misfit
-    rival : rivals within this difference of q (5 sigma) are not told apart
+    rival : rivals within this difference of q (5 sigma) are not told apart; on one loop every effect is a rival that is
+        not `dominated`, as an error in the loop's shape looks like any of them
     apart : difference of q (10 sigma) to every other effect with which one is named that constants could stand for
     tie : pairs within this share of what the best leaves over are equally good: the one with fewer parameters is named
     pull : squared move of the thermal parameters, in their standard deviations, from which a recording differs by a
         constant even if no effect saves a name's gain; of some hundred unchanged devices none moved half as far
     pull_told : the same from which it is told beside a verdict
     temper : how many times more the likelihood ratio must be than white noise would need
+    temper_on_one_loop : the same there, as a share of what the best effect explains
     """
 
     gain: float = 400.0
@@ -80,6 +82,7 @@ class Thresholds:
     pull: float = 100.0
     pull_told: float = 40.0
     temper: float = 8.0
+    temper_on_one_loop: float = 0.1
 
     def least(self, hypothesis: Hypothesis) -> float:
         """Least drop of q with which a hypothesis is named."""
@@ -224,13 +227,13 @@ def _stable(
         )
         # as it is, or what of it the base cannot take up: of a mode's slow heat the base may have any part
         if not any(
-            _alike(one, other, *left) for left in ((one, other), (evidence.left(one), evidence.left(other)))
+            _agree(one, other, *left) for left in ((one, other), (evidence.left(one), evidence.left(other)))
         ):
             return False
     return True
 
 
-def _alike(one: Floats, other: Floats, left_one: Floats, left_other: Floats) -> bool:
+def _agree(one: Floats, other: Floats, left_one: Floats, left_other: Floats) -> bool:
     """Whether two whitened changes (N,) agree in pattern and within a factor of two and a half in size.
 
     `left_one`, `left_other` : what is left of them where something else may take up a part.

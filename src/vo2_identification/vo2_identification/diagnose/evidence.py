@@ -33,6 +33,8 @@ __all__ = ["Evidence", "LoopColumns", "Row", "gather"]
 
 Floats = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float | str]]
+QUICKEST = 0.2
+"""Least time constant that the base may ask for, as a share of the calibration's, which may hardly tell it."""
 STILL_K = 0.1
 """Move of a temperature path over which the loop columns are taken as unchanged [K]."""
 
@@ -300,7 +302,7 @@ def _moved(nominal: Nominal, shift: Floats) -> dict[str, float]:
     moved = {n: values[n] + spreads[n] * z for n, z in zip(spreads, shift, strict=True)}
     for name in ("driver.dead_time", "thermal.time_constant"):
         if name in moved:
-            moved[name] = max(moved[name], 0.0 if name == "driver.dead_time" else 1e-3 * values[name])
+            moved[name] = max(moved[name], 0.0 if name == "driver.dead_time" else QUICKEST * values[name])
     return moved
 
 

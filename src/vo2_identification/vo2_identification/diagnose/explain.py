@@ -228,7 +228,8 @@ def _combined(
     starts, and the largest q that a magnitude alone would make at its typical size
     """
     names = hypothesis.magnitudes
-    units = {n: hypothesis.scales[n] / MAGNITUDE_STEP for n in names}
+    # on a short recording what would be visible may be more than is physical
+    units = {n: min(hypothesis.scales[n] / MAGNITUDE_STEP, hypothesis.bounds(n)[1]) for n in names}
     shapes = {tuple((n, v) for n, v in start.items() if n not in names): None for start in hypothesis.starts}
     # the others beside the first: one may mean nothing without it
     trials = [
@@ -313,7 +314,7 @@ def switched(
             step *= 0.5
     return {
         n: float(np.clip(v * factor, *hypothesis.bounds(n)))
-        if n not in (*names, *hypothesis.choices) and not hypothesis.logarithmic(n)
+        if n not in (*hypothesis.switches, *hypothesis.choices) and not hypothesis.logarithmic(n)
         else v
         for n, v in values.items()
     }

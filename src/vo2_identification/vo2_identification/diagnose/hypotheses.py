@@ -8,7 +8,7 @@ more (a frequency from the residual's spectrum, a limit or a step from the value
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -133,10 +133,31 @@ def hypotheses(evidence: Evidence, device: str, residual: Floats) -> list[Hypoth
             if starts:
                 on_grid = "step" in scales and _coarser_than_before(evidence, signal)
                 fastest = 0.5 / max(part.dt for part in evidence.parts)
-                found.append(
-                    Hypothesis(record, signal, tuple(starts), scales, evident=on_grid, fastest=fastest)
-                )
+                one = Hypothesis(record, signal, tuple(starts), scales, evident=on_grid, fastest=fastest)
+                found.append(windowed(evidence, one, residual))
     return found
+
+
+def windowed(evidence: Evidence, hypothesis: Hypothesis, residual: Floats) -> Hypothesis:
+    """The hypothesis, begun on and off again too, where it goes on and off at all, when the residual asks for it.
+
+    Parameters
+    ----------
+    evidence : the problem
+    hypothesis : with or without such starts; those of another residual are dropped
+    residual : (N,) what is to be explained, whitened, base taken out
+    """
+    if len(hypothesis.switches) != 2:
+        return hypothesis
+    on, off = hypothesis.switches
+    lasting = [start for start in hypothesis.starts if on not in start]
+    windows = _windows(evidence, hypothesis.record, hypothesis.signal, lasting[0], (on, off), residual)
+    length = max(part.time_s[-1] - part.time_s[0] for part in evidence.parts)
+    return replace(
+        hypothesis,
+        starts=(*lasting, *({**start, on: a, off: b} for start in lasting[::2] for a, b in windows)),
+        scales={**hypothesis.scales, **dict.fromkeys((on, off), float(2e-3 * length))},
+    )
 
 
 def _coarser_than_before(evidence: Evidence, signal: str) -> bool:
@@ -217,14 +238,6 @@ def _starts(
     for combination in product(*grids.values()):
         values = dict(zip(grids, combination, strict=True))
         starts.append({n: _clipped(record, n, v) for n, v in values.items()})
-    switches = [p for p in record.parameters if p.unit == "s" and abs(_neutral(p)) >= HUGE]
-    if len(switches) == 2 and starts:  # on and off again: where the residual asks for it
-        on, off = (p.name for p in switches)
-        windows = _windows(evidence, record, signal, starts[0], (on, off), residual)
-        starts += [{**start, on: a, off: b} for start in list(starts[::2]) for a, b in windows]
-        if windows:
-            length = max(part.time_s[-1] - part.time_s[0] for part in evidence.parts)
-            scales |= dict.fromkeys((on, off), float(2e-3 * length))
     return starts, scales
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numba import njit
@@ -14,11 +15,19 @@ from vo2_models.device import surrogate_of_temperature
 from vo2_identification.diagnose.evidence import Evidence
 from vo2_identification.diagnose.result import Location
 
-__all__ = ["Breakdown", "breakdown", "locate", "turning_points"]
+__all__ = ["Breakdown", "breakdown", "locate", "one_loop", "turning_points"]
 
 Floats = NDArray[np.float64]
 BLOCKS = 40
 """Pieces of a recording in which the energy over time is told."""
+MOVES = 0.02
+"""Rate of temperature, of that of the fastest twentieth, below which a sample is at rest: settling is no branch."""
+CROSSES, APART = 0.5, 0.05
+"""Shares of the range of temperatures: what counts as crossing it, and turning points that are two."""
+LEVELS, RATES = 5, 3.0
+"""From so many turning temperatures, or so many times the slowest crossing's rate, on it is more than one loop."""
+ONE_BRANCH = 4.0
+"""So many times the energy per sample of the other branch must one have to be the place."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +41,7 @@ class Breakdown:
     channel : name
     excess : excess energy, in units of the noise power
     floor : energy that noise alone has, the same
+    moving : samples that count while heating, and while cooling
     axes : axis -> (edges (b + 1,) or labels, energy (b,)); axes are time, branch, temperature, amplitude,
         reversals, frequency
     """
@@ -39,6 +49,7 @@ class Breakdown:
     channel: str
     excess: float
     floor: float
+    moving: tuple[int, int]
     axes: Mapping[str, tuple[Sequence[float] | Sequence[str], Floats]]
 
 
@@ -104,7 +115,8 @@ def breakdown(evidence: Evidence, residual: Floats, *, floor: float = 1.0) -> li
             ),
             "frequency": (frequencies.tolist(), spectrum * max(scale, 0.0)),
         }
-        found.append(Breakdown(channel, total, float(np.count_nonzero(energy)), axes))
+        heating, cooling = (int(np.count_nonzero(energy[joined["heating"] == s])) for s in (1, -1))
+        found.append(Breakdown(channel, total, float(np.count_nonzero(energy)), (heating, cooling), axes))
     return found
 
 
@@ -115,18 +127,39 @@ def _binned(x: Floats, energy: Floats, bins: int) -> tuple[list[float], Floats]:
 
 
 def _history(temperature: Floats) -> tuple[NDArray[np.int64], Floats, NDArray[np.int64]]:
-    """Direction (+1, -1, 0 held), distance from the last turning point [K], and open reversals, per sample."""
-    last, _, order, direction = _turns(
-        np.ascontiguousarray(temperature), 1e-3 * max(float(np.ptp(temperature)), 1e-9)
-    )
-    return direction, np.abs(temperature - last), order
+    """Direction (+1, -1, 0 at rest), distance from the last turning point [K], and open reversals, per sample."""
+    last, _, order = _turns(np.ascontiguousarray(temperature), 1e-3 * max(float(np.ptp(temperature)), 1e-9))
+    rate = np.gradient(temperature)
+    moves = np.abs(rate) > MOVES * np.quantile(np.abs(rate), 0.95)
+    return np.where(moves, np.sign(rate), 0.0).astype(np.int64), np.abs(temperature - last), order
+
+
+def one_loop(paths: Sequence[Floats], periods: Sequence[float]) -> bool:
+    """Whether these paths of the film, (n,) [degC] each with its sampling period [s], are one and the same loop.
+
+    They are where they turn at few temperatures and cross the range at much the same rate: there is one history then,
+    and an error in the loop's shape, a lag and a drift can hardly be told apart.
+    """
+    low, high = (float(end(np.concatenate(paths))) for end in (np.min, np.max))
+    span = max(high - low, 1e-9)
+    turns: list[float] = []
+    rates: list[float] = []
+    for path, period in zip(paths, periods, strict=True):
+        last = turning_points(path)[0]
+        rate = np.abs(np.gradient(path)) / period
+        inside = np.abs(path - 0.5 * (low + high)) < 0.5 * CROSSES * span
+        for piece in np.split(np.arange(path.size), np.flatnonzero(np.diff(last)) + 1):
+            level = float(last[piece[0]])
+            if all(abs(level - other) > APART * span for other in turns):
+                turns.append(level)
+            if np.ptp(path[piece]) > CROSSES * span and np.any(inside[piece]):
+                rates.append(float(np.median(rate[piece][inside[piece]])))
+    return len(turns) < LEVELS and max(rates, default=0.0) <= RATES * min(rates, default=0.0)
 
 
 def turning_points(temperature: Floats) -> tuple[Floats, Floats]:
     """Last turning point, and the one that is still remembered before it, per sample (n,) [degC]."""
-    last, before, _, _ = _turns(
-        np.ascontiguousarray(temperature), 1e-3 * max(float(np.ptp(temperature)), 1e-9)
-    )
+    last, before, _ = _turns(np.ascontiguousarray(temperature), 1e-3 * max(float(np.ptp(temperature)), 1e-9))
     return last, before
 
 
@@ -136,7 +169,6 @@ def _turns(temperature, dead):
     last = np.empty(n)
     before = np.empty(n)
     order = np.zeros(n, np.int64)
-    direction = np.zeros(n, np.int64)
     turns = np.empty(64)
     turns[0] = temperature[0]
     depth = 1
@@ -163,9 +195,7 @@ def _turns(temperature, dead):
         last[k] = turns[depth - 1]
         before[k] = turns[max(depth - 2, 0)]
         order[k] = max(depth - 2, 0)
-        if k > 0 and abs(x - temperature[k - 1]) > 1e-6 * dead:
-            direction[k] = going
-    return last, before, order, direction
+    return last, before, order
 
 
 def locate(evidence: Evidence, parts: Sequence[Breakdown]) -> list[Location]:
@@ -177,22 +207,26 @@ def locate(evidence: Evidence, parts: Sequence[Breakdown]) -> list[Location]:
         time = _spans(*b.axes["time"])  # type: ignore[arg-type]
         low, high = _middle(*b.axes["temperature"])  # type: ignore[arg-type]
         frequency = _middle(b.axes["frequency"][0], b.axes["frequency"][1])  # type: ignore[arg-type]
-        heating, cooling = np.maximum(b.axes["branch"][1][:2], 0.0)
-        moving = heating + cooling
-        share = heating / moving if moving > 0 else 0.5
         surrogate = sorted(surrogate_of_temperature(evidence.nominal.device, [low, high]).tolist())
         found.append(
             Location(
                 signal=b.channel,
                 share=float(b.excess / total),
                 time_s=time,
-                branch="heating" if share > 0.8 else "cooling" if share < 0.2 else "both",
+                branch=_branch(*np.maximum(b.axes["branch"][1][:2], 0.0) / np.maximum(b.moving, 1)),
                 temperature_degC=[low, high],
                 temperature_surrogate_a=[float(v) for v in surrogate],
                 frequency_hz=list(frequency),
             )
         )
     return found
+
+
+def _branch(heating: float, cooling: float) -> Literal["heating", "cooling", "both"]:
+    """Which branch is the place, by its energy per sample: how long each of them took says nothing."""
+    if heating > ONE_BRANCH * cooling:
+        return "heating"
+    return "cooling" if cooling > ONE_BRANCH * heating else "both"
 
 
 def _spans(edges: Sequence[float], energy: Floats) -> list[list[float]]:

@@ -19,7 +19,7 @@ from vo2_identification.diagnose.decide import HeldOut, Thresholds, block_folds,
 from vo2_identification.diagnose.evidence import Evidence, gather
 from vo2_identification.diagnose.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
 from vo2_identification.diagnose.hypotheses import Hypothesis, hypotheses
-from vo2_identification.diagnose.locate import Breakdown, breakdown
+from vo2_identification.diagnose.locate import Breakdown, breakdown, one_loop
 from vo2_identification.diagnose.next_experiment import by_hand, propose
 from vo2_identification.diagnose.noise import fit_noise
 from vo2_identification.diagnose.nominal import MOVED, Nominal, Response, loop_ends
@@ -44,6 +44,11 @@ ROOM = 0.9
 """Share of a squared move of the constants from which it is the ambient temperature's alone."""
 QUIET = 1.4
 """Residual power over noise power up to which a channel's residual is taken for its noise."""
+ONE_LOOP = Finding(
+    "one loop",
+    "the film went over one and the same loop only, on which many effects look alike, and may look like another loop: "
+    "steps, smaller loops and other rates would tell more",
+)
 UNSEEN = 50.0
 """An effect whose typical size would change q by less than this is not excited."""
 
@@ -74,6 +79,7 @@ class Study:
     proposal : what to record next
     moved : (t,) how far the base moved its thermal parameters beside what is named, in their standard deviations
     alike : effects that would look like that move, best first; none where it is small
+    one_loop : whether the film went over one loop only, on which many effects look alike
     """
 
     nominal: Nominal
@@ -97,6 +103,7 @@ class Study:
     proposal: NextExperiment | None = None
     moved: Floats = field(default_factory=lambda: np.zeros(0))
     alike: tuple[Hypothesis, ...] = ()
+    one_loop: bool = False
     seconds: float = 0.0
 
     @property
@@ -175,6 +182,9 @@ def study(
     parts, findings = _remembered(started, nominal, findings)
     paths = [response.temperature for _, response in started]
     parts, findings = _covered(parts, paths, nominal, tuple(shapes), findings)
+    alike = one_loop(paths, [part.dt for part in parts])
+    if alike:
+        findings = [*findings, ONE_LOOP]
     evidence = gather(nominal, parts, shapes=shapes, say=clock.say)
     evidence = _settled_thermal(nominal, evidence, clock)
     nominal, evidence = _recoloured(nominal, evidence, clock)
@@ -184,7 +194,7 @@ def study(
     excess, total = _excess(evidence, left, q)
     base = Study(
         nominal, evidence, evidence, tuple(findings), limits, excess=excess, total_excess=total,
-        breakdown=tuple(breakdown(evidence, left)),
+        breakdown=tuple(breakdown(evidence, left)), one_loop=alike,
     )  # fmt: skip
     return replace(_explained(base, clock), seconds=time.perf_counter() - began)
 
@@ -351,10 +361,11 @@ def _explained(base: Study, clock: _Clock) -> Study:
     scores = scored[0]
     clock.say("refitting the most promising")
     q_base = evidence.q
+    shortlist = 2 * SHORTLIST if base.one_loop else SHORTLIST
     promising = [
         (problem, s)
         for problem, ranked in zip(problems, scored, strict=True)
-        for s in [s for s in ranked if s.gain > max(0.08 * ranked[0].gain, FAINT)][:SHORTLIST]
+        for s in [s for s in ranked if s.gain > max(0.08 * ranked[0].gain, FAINT)][:shortlist]
     ]
 
     def refitted(item: tuple[Evidence, Score]) -> Explanation:
@@ -532,7 +543,7 @@ def _sound(
         and judged.stable
         and _complete(chosen, option.remaining, evidence, limits) >= needed
         and not chosen.at_bound
-        and not _worsens(judged)
+        and not _worsens(option, judged)
         and not _bends(option, limits)
     )
 
@@ -547,9 +558,11 @@ def _best_inside(explanations: Sequence[Explanation]) -> Explanation | None:
     return explanations[0]
 
 
-def _worsens(judged: HeldOut) -> bool:
-    """Whether a channel is predicted worse with the explanation than without, by more than its noise."""
-    return any(judged.after[c] > judged.before[c] + judged.floor[c] for c in judged.after)
+def _worsens(option: Option, judged: HeldOut) -> bool:
+    """Whether a channel that an explanation reaches is predicted worse with it than without, by more than its noise."""
+    acting = trace(option.final)
+    reached = {row.channel for row in option.final.rows if float(np.sum(acting[row.where] ** 2)) > 1.0}
+    return any(judged.after[c] > judged.before[c] + judged.floor[c] for c in reached)
 
 
 def _bends(option: Option, limits: Thresholds) -> bool:
@@ -613,6 +626,8 @@ def _rival_pairs(
         return []
     reference = next((r for r in rivals if set(r.keys) == set(chosen.keys)), chosen)
     limit = base.thresholds.rival * (1.0 + max(remaining, 0.0))
+    if base.one_loop and len(chosen.keys) == 1:
+        limit = max(limit, (1.0 - base.thresholds.dominated) * reference.gain)
     pairs: list[tuple[str, str]] = []
     for rival in rivals:
         ours = [k.split(":")[0] for k in chosen.keys if k not in rival.keys]

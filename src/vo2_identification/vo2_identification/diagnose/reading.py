@@ -19,6 +19,8 @@ from vo2_identification.diagnose.nominal import drive_of
 __all__ = ["as_commanded", "between_samples", "current_reading"]
 
 Floats = NDArray[np.float64]
+FOLLOWS = (0.5, 2.0)
+"""Gains between which a reading is one of the heater's current: of a loose wire it is near nothing."""
 STILL = 3.0
 """Change from sample to sample, in noise levels, up to which the current is taken as held."""
 
@@ -26,7 +28,16 @@ STILL = 3.0
 def current_reading(recording: Recording) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Offset [A] and gain of a calibration's current reading, and its noise (innovation [A], AR terms).
 
-    Both are empty where the logged current only repeats the command, or was read fewer than a hundred times.
+    reading = offset + gain command + noise, by least squares. Both are empty where that says nothing of the current: where
+    the log only repeats the command, was read fewer than a hundred times, or does not follow the command.
+
+    Parameters
+    ----------
+    recording : with `heater_current` [A] and, where the bag has commands, `commanded_current` [A], (n,) each
+
+    Raises
+    ------
+    ValueError : a log without a finite value.
     """
     if HEATER_CURRENT not in recording:
         return (), ()
@@ -37,6 +48,8 @@ def current_reading(recording: Recording) -> tuple[tuple[float, ...], tuple[floa
         return (), ()
     columns = np.column_stack([np.ones(command.size), command])
     line = np.linalg.lstsq(columns[good], logged[good])[0]
+    if not FOLLOWS[0] < line[1] < FOLLOWS[1]:
+        return (), ()
     found = fit_noise(np.where(good, (logged - columns @ line) / line[1], 0.0), good)
     return tuple(line.tolist()), (found.innovation, *found.ar)
 

@@ -89,14 +89,10 @@ def _residual_figure(study: Study) -> str:
             weight = np.where(evidence.weight[row.where] > 0, evidence.weight[row.where], 1.0)
             _, label, scale = SHOWN[row.channel]
             time = part.time_s - part.time_s[0]
-            for vector, colour, style, name in (
-                (left, BEFORE, "-", "before"),
-                (after, AFTER, "-", "after"),
-            ):
+            for vector, colour, name in ((left, BEFORE, "before"), (after, AFTER, "after")):
                 plain = noise.color(vector[row.where] / weight) * scale
                 low, high, middle = _envelope(time, plain)
                 axis.fill_between(middle, low, high, color=colour, alpha=0.55, linewidth=0, label=name)
-                del style
             for sign in (-2, 2):
                 axis.axhline(sign * noise.level * scale, color=NOISE, linestyle="--", linewidth=0.8)
             axis.set_ylabel(label)

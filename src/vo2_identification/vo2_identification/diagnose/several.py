@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vo2_identification.diagnose.decide import Thresholds
 from vo2_identification.diagnose.evidence import Evidence, gather
 from vo2_identification.diagnose.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
-from vo2_identification.diagnose.hypotheses import Hypothesis
+from vo2_identification.diagnose.hypotheses import Hypothesis, windowed
 from vo2_identification.diagnose.nominal import Nominal
 from vo2_identification.diagnose.side_by_side import side_by_side
 
@@ -32,6 +32,8 @@ HOPELESS = 0.5
 """Share of what makes a second effect count below which no exchange is tried."""
 EXCHANGES = 3
 """So often one of the two is tried anew beside the other."""
+NEARLY = 0.25
+"""Excess, in what the best pair leaves, by which a pair may miss it and still be worth an exchange."""
 FREE = 20.0
 """Standard deviation with which the parameters of the other may move while partners are scored, in their steps."""
 
@@ -153,17 +155,18 @@ def pair_of(
         return None
     if before - found[0][1].chi_square < HOPELESS * limits.second * (before - about.count):
         return None
-    tried = {first.keys}
+    waiting = _untried([joint for _, joint in found], about.count, limits)
+    tried = {first.keys[0]}
     for _ in range(EXCHANGES):
-        best = min(found, key=lambda item: item[1].chi_square)[1]
-        fresh = [k for k in range(2) if (best.keys[k],) not in tried]
-        if not fresh:
+        key = next((key for key in waiting if key not in tried), None)
+        if key is None:
             break
-        k = fresh[0]
-        tried.add((best.keys[k],))
-        one = fit_jointly(evidence, [best.hypotheses[k]], [best.values[k]], iterations=BRIEF, tick=tick)
+        tried.add(key)
+        one = fit_jointly(evidence, *waiting[key], iterations=BRIEF, tick=tick)
         there, kept = _about(nominal, evidence, one, tick)
-        found += [(there, joint) for joint in _joined(there, kept, candidates, limits, tick)]
+        fresh = _joined(there, kept, candidates, limits, tick)
+        found += [(there, joint) for joint in fresh]
+        waiting |= _untried(fresh, about.count, limits)
     found.sort(key=lambda item: item[1].chi_square)
     where, best = _simplest(found, limits)
     drop, leftover = before - best.chi_square, before - about.count
@@ -179,6 +182,19 @@ def pair_of(
     return option_of(nominal, evidence, best, ranked, tick=tick)
 
 
+def _untried(
+    joints: Sequence[Explanation], count: int, limits: Thresholds
+) -> dict[str, tuple[list[Hypothesis], list[dict[str, float]]]]:
+    """Each effect of the best of these pairs and of those that nearly reach it, alone: key -> hypothesis and values."""
+    lowest = joints[0].chi_square if joints else 0.0
+    near = [j for j in joints if j.chi_square < lowest + NEARLY * max(lowest - count, 0.0) + limits.rival]
+    alone: dict[str, tuple[list[Hypothesis], list[dict[str, float]]]] = {}
+    for joint in near:
+        for key, hypothesis, values in zip(joint.keys, joint.hypotheses, joint.values, strict=True):
+            alone.setdefault(key, ([hypothesis], [values]))
+    return alone
+
+
 def _joined(
     about: Evidence,
     first: Explanation,
@@ -190,8 +206,9 @@ def _joined(
 
     Partners are scored by what neither the base nor other values of the first effect could explain.
     """
-    others = [h for h in candidates if h.key not in first.keys]
     residual = about.residual - first.deviation
+    left = about.left(residual)
+    others = [windowed(about, h, left) for h in candidates if h.key not in first.keys]
     base = replace(about.base, thermal=np.hstack([FREE * first.tangent, about.base.thermal]))
     scores = score(replace(about, base=base), others, residual, tick=tick)
     promising = [s for s in scores if s.gain > _least(s, scores, limits)][:PARTNERS]

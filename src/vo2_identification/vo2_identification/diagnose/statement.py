@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from vo2_models.device.coefficients import HUGE
 from vo2_models.effects.record import CHOICE
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
@@ -124,6 +125,8 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
         if same:
             chi[0] = min(chi[0], same[0].chi_square) if len(study.chosen.keys) > 1 else same[0].chi_square
     temper = study.thresholds.temper * (1.0 + max(study.remaining_excess, 0.0))
+    if study.one_loop and study.chosen is not None:
+        temper = max(temper, study.thresholds.temper_on_one_loop * study.chosen.gain)
     weights = probabilities(chi, [len(e.coordinates) for e in everyone], count=count, temper=temper)
     certain = 1.0 if study.outside is None else 0.5 * _explained_share(study)
     by_key: dict[str, float] = {}
@@ -204,6 +207,8 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
             record = hypothesis.record
             parameters = {}
             for name, value in study.chosen.values[index].items():
+                if name in hypothesis.switches and abs(value) >= HUGE:
+                    continue  # never switched
                 unit = hypothesis.parameter(name).unit
                 if unit == "channel unit":
                     unit = {"log10 ohm": "ohm"}.get(

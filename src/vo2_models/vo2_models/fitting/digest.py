@@ -79,6 +79,10 @@ class CalibrationDigest:
         finite_array(self.temperature, "temperature", size=size + 1)
         for name in ("count", "log_resistance", "deflection"):
             finite_array(getattr(self, name), name, size=size)
+        if self.current_reading and (len(self.current_reading) != 2 or self.current_reading[1] == 0.0):
+            raise ValueError(
+                f"{_PREFIX}current_reading: found {list(self.current_reading)}, need none or an offset and a gain that is not 0"
+            )
         for name, values in self.by_lag.items():
             if values.shape != (size, 2):
                 raise ValueError(f"{name}: found shape {values.shape}, need ({size}, 2)")
