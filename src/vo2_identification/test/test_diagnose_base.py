@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
-from vo2_identification.diagnose.base import Coverage, _block_covariance, coverage
+from vo2_identification.diagnose.base import Coverage, _block_covariance, coverage, thermal_spread
 from vo2_identification.diagnose.carry import carried, corrected_film
-from vo2_identification.diagnose.evidence import gather
-from vo2_identification.diagnose.explain import fit_jointly, score, switched
+from vo2_identification.diagnose.decide import Thresholds
+from vo2_identification.diagnose.evidence import QUICKEST, gather
+from vo2_identification.diagnose.explain import Explanation, fit_jointly, score, switched
 from vo2_identification.diagnose.hypotheses import MAGNITUDE_STEP, Hypothesis, hypotheses, windowed
 from vo2_identification.diagnose.locate import breakdown, locate
 from vo2_identification.diagnose.noise import NoiseModel
 from vo2_identification.diagnose.nominal import Nominal, basis_of, rounded_with_noise
 from vo2_identification.diagnose.part import prepare
 from vo2_identification.diagnose.reading import as_commanded, between_samples, current_reading
+from vo2_identification.diagnose.several import _untried
 from vo2_identification.diagnose.side_by_side import side_by_side
 from vo2_identification.diagnose.tangent import Tangent
 from vo2_models.device import DeviceModel
@@ -193,6 +195,13 @@ def test_switching_times_are_found_by_search() -> None:
     assert 0.4 < found["rise"] < 1.2
 
 
+def test_no_residual_makes_the_device_much_quicker_than_it_was() -> None:
+    evidence = _changed({})
+    moved = evidence.moved(np.full(len(evidence.names), -1e3))
+    values, _ = thermal_spread(evidence.nominal.model)
+    assert moved["thermal.time_constant"] == QUICKEST * values["thermal.time_constant"]
+
+
 def test_what_stays_on_is_never_switched_off() -> None:
     evidence = _changed({"laser_heating": {"rise": 0.8, "start": 0.731}})
     hypothesis = Hypothesis(
@@ -356,6 +365,23 @@ def test_a_rest_is_covered_and_the_way_from_it_is_not() -> None:
     assert str(found) == "22 to 23, 40 to 61 degC"
     everywhere = coverage(_model())
     assert isinstance(everywhere, Coverage) and everywhere.holds(np.array([-300.0, 1e4])).all()
+
+
+def test_partners_that_nearly_reach_the_best_pair_are_tried_too() -> None:
+    def pair(names: tuple[str, str], q: float) -> Explanation:
+        made = tuple(Hypothesis(effects()[name], "", ({},), {}) for name in names)
+        none = np.zeros(0)
+        return Explanation(made, ({}, {}), q, 0.0, none, (), none, np.zeros((0, 0)), (), none)
+
+    found = [
+        pair(("creep", "latent_heat"), 2000.0),
+        pair(
+            ("creep", "dead_time"), 2200.0
+        ),  # 1000 are left by the best: a quarter of it, and 5 sigma, is near
+        pair(("creep", "heater_tcr"), 2400.0),
+    ]
+    assert list(_untried(found, 1000, Thresholds())) == ["creep", "latent_heat", "dead_time"]
+    assert _untried([], 1000, Thresholds()) == {}
 
 
 def test_what_is_faster_than_the_samples_is_no_resonance() -> None:

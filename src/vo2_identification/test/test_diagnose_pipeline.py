@@ -11,6 +11,8 @@ from vo2_identification.diagnose.evidence import gather
 from vo2_identification.diagnose.files import write_results
 from vo2_identification.diagnose.nominal import Nominal
 from vo2_identification.diagnose.part import prepare
+from vo2_identification.diagnose.pipeline import _worsens
+from vo2_identification.diagnose.several import Option
 from vo2_identification.diagnose.statement import assemble
 from vo2_identification.fit import model_of
 from vo2_models.device import DeviceModel, preset, surrogate_of_temperature, truth
@@ -124,6 +126,15 @@ def test_the_corrected_model_loads_and_follows_the_recording_better(creeping, tm
         for m in (nominal, corrected)
     ]
     assert miss[1] < 0.6 * miss[0]
+
+
+def test_a_channel_that_an_effect_does_not_reach_says_nothing_against_it(creeping) -> None:
+    option = Option(creeping.final, creeping.chosen, (), 0.0)
+    judged = creeping.judged
+    assert not _worsens(option, judged)
+    for channel, harmed in ((TIP_DEFLECTION, True), (RESISTANCE, False)):
+        worse = judged.before[channel] + 2.0 * judged.floor[channel]
+        assert _worsens(option, replace(judged, after={**judged.after, channel: worse})) is harmed
 
 
 def test_the_energy_of_every_axis_adds_up_to_the_channels_excess(creeping) -> None:
