@@ -367,6 +367,16 @@ def test_a_rest_is_covered_and_the_way_from_it_is_not() -> None:
     assert isinstance(everywhere, Coverage) and everywhere.holds(np.array([-300.0, 1e4])).all()
 
 
+def test_what_takes_longer_than_the_recording_is_no_creep() -> None:
+    evidence = _changed({})
+    found = {h.record.id: h for h in hypotheses(evidence, "integrated", evidence.left(evidence.residual))}
+    mode = found["second_thermal_mode"]
+    assert mode.bounds("time_constant")[1] == pytest.approx(3 * 3000 * 1e-3)
+    assert mode.ends("time_constant", 9.0) and not mode.ends("time_constant", 8.0)
+    assert found["transition_kinetics"].bounds("time_constant")[1] > 9.0  # its size, not its shape
+    assert found["series_resistance"].bounds("resistance")[0] == 0.0
+
+
 def test_partners_that_nearly_reach_the_best_pair_are_tried_too() -> None:
     def pair(names: tuple[str, str], q: float) -> Explanation:
         made = tuple(Hypothesis(effects()[name], "", ({},), {}) for name in names)

@@ -29,6 +29,8 @@ Floats = NDArray[np.float64]
 Values = Mapping[str, float]
 INSIDE = (1.0, 0.995, 0.98, 0.95, 0.9, 0.8, 0.6)
 """Shares of the values that a limit may leave as they are."""
+SLOWEST = 3.0
+"""Longest time constant that is looked for, in lengths of the longest recording."""
 MAGNITUDE_STEP = 0.05
 """A step that matters of a magnitude, as a share of its typical size."""
 COARSE = 1.2
@@ -49,6 +51,7 @@ class Hypothesis:
     scales : parameter -> a step that matters
     evident : whether the values show it by themselves: all on a grid much coarser than the calibration's noise
     fastest : half the sampling rate [Hz]; what oscillates faster is not seen to oscillate
+    slowest : longest time constant [s]; what takes longer is seen as a straight line, or not to move
     """
 
     record: Effect
@@ -57,6 +60,7 @@ class Hypothesis:
     scales: Values
     evident: bool = False
     fastest: float = np.inf
+    slowest: float = np.inf
 
     @property
     def key(self) -> str:
@@ -95,9 +99,11 @@ class Hypothesis:
         )
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """Physical range, of a frequency what the samples can show of it."""
+        """Physical range, of a frequency and of a time constant what the samples can show of it."""
         parameter = self.parameter(name)
         upper = float(parameter.upper or 0.0)
+        if parameter.unit == "s" and self.logarithmic(name):
+            upper = min(upper, self.slowest)
         return float(parameter.lower or 0.0), min(upper, self.fastest) if parameter.unit == "Hz" else upper
 
     def ends(self, name: str, value: float) -> bool:
@@ -133,8 +139,15 @@ def hypotheses(evidence: Evidence, device: str, residual: Floats) -> list[Hypoth
             if starts:
                 on_grid = "step" in scales and _coarser_than_before(evidence, signal)
                 fastest = 0.5 / max(part.dt for part in evidence.parts)
-                one = Hypothesis(record, signal, tuple(starts), scales, evident=on_grid, fastest=fastest)
-                found.append(windowed(evidence, one, residual))
+                slowest = SLOWEST * max(part.size * part.dt for part in evidence.parts)
+                one = Hypothesis(
+                    record, signal, tuple(starts), scales, evident=on_grid, fastest=fastest, slowest=slowest
+                )
+                inside = tuple(
+                    {n: min(v, one.bounds(n)[1]) if one.logarithmic(n) else v for n, v in start.items()}
+                    for start in starts
+                )
+                found.append(windowed(evidence, replace(one, starts=inside), residual))
     return found
 
 

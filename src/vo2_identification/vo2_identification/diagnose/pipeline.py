@@ -182,8 +182,8 @@ def study(
     parts, findings = _remembered(started, nominal, findings)
     paths = [response.temperature for _, response in started]
     parts, findings = _covered(parts, paths, nominal, tuple(shapes), findings)
-    alike = one_loop(paths, [part.dt for part in parts])
-    if alike:
+    repeating = one_loop(paths, [part.dt for part in parts])
+    if repeating:
         findings = [*findings, ONE_LOOP]
     evidence = gather(nominal, parts, shapes=shapes, say=clock.say)
     evidence = _settled_thermal(nominal, evidence, clock)
@@ -194,7 +194,7 @@ def study(
     excess, total = _excess(evidence, left, q)
     base = Study(
         nominal, evidence, evidence, tuple(findings), limits, excess=excess, total_excess=total,
-        breakdown=tuple(breakdown(evidence, left)), one_loop=alike,
+        breakdown=tuple(breakdown(evidence, left)), one_loop=repeating,
     )  # fmt: skip
     return replace(_explained(base, clock), seconds=time.perf_counter() - began)
 

@@ -7,7 +7,7 @@ from vo2_models.recording import RESISTANCE
 EFFECT = Effect(
     id="leakage_resistance",
     stage="terminals",
-    parameters=(constant_of("conductance", 0, "S", "change of the conductance beside the film", 0, 1),),
+    parameters=(constant_of("conductance", 0, "S", "conductance added beside the film", 0, 1),),
     apply=setting(conductance=Coefficient.LEAKAGE),
     channels=(RESISTANCE,),
     typical={"integrated": {"conductance": (2e-7, 1e-6)}, "peltier": {"conductance": (4e-7, 2e-6)}},
