@@ -184,6 +184,13 @@ def test_location():
     )
     assert wrong.channel is False and wrong.branch is False
     assert judged("one", [effect("creep")], diagnosis("creep")).branch is None
+    driver = {"signal": "heater_current", "share": 0.9, "branch": "both", "frequency_hz": [0.0, 5.0]}
+    limited = effect("driver_saturation", branch="heating", channels=["tip_deflection", "heater_current"])
+    found = diagnosis("driver_saturation")
+    found["location"].append(driver)
+    seen = judged("one", [limited], found)
+    assert seen.channel and seen.branch
+    assert judged("one", [limited], found | {"location": [driver]}).branch is False
     assert judged("one", [effect("creep")], diagnosis("creep", location=[])).channel is False
 
 

@@ -20,6 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from vo2_models.recording import HEATER_CURRENT
 
 from vo2_identification.challenge.parameters import Comparison, compare_parameters, in_base_unit
 
@@ -148,8 +149,9 @@ def excess_removed(diagnosis: Mapping) -> float | None:
     return 1 - after / before if before > 0 else None
 
 
-def _top_location(diagnosis: Mapping) -> Mapping | None:
-    entries = diagnosis["location"]
+def _top_location(diagnosis: Mapping, *, drive: bool = True) -> Mapping | None:
+    """Return the entry with the largest share; without `drive` of what the device does, not of its current."""
+    entries = [entry for entry in diagnosis["location"] if drive or entry["signal"] != HEATER_CURRENT]
     return max(entries, key=lambda entry: entry["share"]) if entries else None
 
 
@@ -248,7 +250,9 @@ def _judge_one(effect: Mapping, diagnosis: Mapping) -> dict:
         "experiment": "",
     }
     if effect["branch"] != "both":
-        values["branch"] = top is not None and top["branch"] == effect["branch"]
+        # the truth is told of what the device does: the logged current has the branch of the command
+        place = _top_location(diagnosis, drive=False)
+        values["branch"] = place is not None and place["branch"] == effect["branch"]
     if name == "cantilever_resonance":
         values["frequency"] = _frequency(effect, diagnosis)
     for entry in effects:

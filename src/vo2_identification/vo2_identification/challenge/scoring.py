@@ -57,7 +57,8 @@ def score(judgements: Sequence[Judgement]) -> dict[str, Any]:
     coverage90 : share of these whose interval value +- 1.645 std holds the truth
     channel : one effect or outside: the channel of the largest share of excess carries at least a fifth of the
         true excess (or is the shunt current of a driver effect)
-    branch : the same entry's branch, where at least four times as much true excess lies on one branch
+    branch : that of the same entry, or of the next where that is the current; asked where a sample of one branch has at
+        least four times the true excess of the other's
     told : one effect: right name first, or told to be inseparable from another or not excited by the recording
     after_experiment_top1 : one effect told to be inseparable, an excitation proposed: right name first with both recordings
     seconds : median wall time of a diagnosis
