@@ -274,19 +274,18 @@ def test_a_small_late_part_on_top_is_found_with_its_steady_gain(parameters) -> N
     assert found["gain"].value == pytest.approx(0.012, rel=0.3)
 
 
-def test_two_effects_are_found_together(parameters) -> None:
-    answer = diagnose(
-        [
-            concealed(
-                {
-                    "creep": {"share": 0.05, "time_constant": 0.2},
-                    "leakage_resistance": {"conductance": 3e-7},
-                }
-            )
-        ],
-        parameters,
-    )
-    assert {e.id for e in answer.effects} == {"creep", "leakage_resistance"}
+def test_two_effects_are_found_together_the_larger_first(parameters) -> None:
+    both = {
+        "creep": {"share": 0.05, "time_constant": 0.2},
+        "leakage_resistance": {"conductance": 3e-7},
+    }
+    seen = study([concealed(both)], parameters)
+    alone = {e.hypotheses[0].record.id: e.gain for e in seen.singles}
+    named = [e.id for e in assemble(seen).effects]
+    assert named == sorted(both, key=lambda name: -alone[name])
+    assert seen.chosen is not None
+    turned = replace(seen.chosen, hypotheses=seen.chosen.hypotheses[::-1], values=seen.chosen.values[::-1])
+    assert [e.id for e in assemble(replace(seen, chosen=turned)).effects] == named
 
 
 def test_a_coarser_converter_is_named_with_little_to_gain(parameters) -> None:

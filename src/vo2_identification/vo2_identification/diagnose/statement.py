@@ -227,7 +227,10 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
                     hypothesis.signal or None,
                 )
             )
-        found.sort(key=lambda e: -e.probability)
+        # of two that are equally sure, the one first that explains more by itself
+        alone = {e.keys[0]: e.gain for e in study.singles}
+        keys = {(h.record.id, h.signal or None): h.key for h in study.chosen.hypotheses}
+        found.sort(key=lambda e: (-round(e.probability, 2), -alone.get(keys[e.id, e.signal], 0.0)))
     if study.outside is not None or not found:
         found.append(_unknown(study))
     return found
