@@ -383,13 +383,9 @@ def test_partners_that_nearly_reach_the_best_pair_are_tried_too() -> None:
         none = np.zeros(0)
         return Explanation(made, ({}, {}), q, 0.0, none, (), none, np.zeros((0, 0)), (), none)
 
-    found = [
-        pair(("creep", "latent_heat"), 2000.0),
-        pair(
-            ("creep", "dead_time"), 2200.0
-        ),  # 1000 are left by the best: a quarter of it, and 5 sigma, is near
-        pair(("creep", "heater_tcr"), 2400.0),
-    ]
+    # the best leaves 1000: a quarter of it, and 5 sigma, is near
+    qs = {"latent_heat": 2000.0, "dead_time": 2200.0, "heater_tcr": 2400.0}
+    found = [pair(("creep", other), q) for other, q in qs.items()]
     assert list(_untried(found, 1000, Thresholds())) == ["creep", "latent_heat", "dead_time"]
     assert _untried([], 1000, Thresholds()) == {}
 

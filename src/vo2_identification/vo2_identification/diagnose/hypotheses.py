@@ -23,7 +23,7 @@ from vo2_models.recording import HEATER_CURRENT, RESISTANCE
 from vo2_identification.diagnose.evidence import Evidence
 from vo2_identification.diagnose.part import value_step
 
-__all__ = ["MAGNITUDE_STEP", "Hypothesis", "hypotheses"]
+__all__ = ["MAGNITUDE_STEP", "Hypothesis", "hypotheses", "windowed"]
 
 Floats = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -159,6 +159,10 @@ def windowed(evidence: Evidence, hypothesis: Hypothesis, residual: Floats) -> Hy
     evidence : the problem
     hypothesis : with or without such starts; those of another residual are dropped
     residual : (N,) what is to be explained, whitened, base taken out
+
+    Returns
+    -------
+    the same hypothesis where it does not go on and off
     """
     if len(hypothesis.switches) != 2:
         return hypothesis

@@ -137,8 +137,8 @@ def _history(temperature: Floats) -> tuple[NDArray[np.int64], Floats, NDArray[np
 def one_loop(paths: Sequence[Floats], periods: Sequence[float]) -> bool:
     """Whether these paths of the film, (n,) [degC] each with its sampling period [s], are one and the same loop.
 
-    They are where they turn at few temperatures and cross the range at much the same rate: there is one history then,
-    and an error in the loop's shape, a lag and a drift can hardly be told apart.
+    They are where they turn at fewer than `LEVELS` temperatures and no crossing of the range is `RATES` times as fast as
+    another: there is one history then, and an error in the loop's shape, a lag and a drift can hardly be told apart.
     """
     low, high = (float(end(np.concatenate(paths))) for end in (np.min, np.max))
     span = max(high - low, 1e-9)
