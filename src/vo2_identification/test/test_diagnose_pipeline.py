@@ -137,6 +137,18 @@ def test_a_channel_that_an_effect_does_not_reach_says_nothing_against_it(creepin
         assert _worsens(option, replace(judged, after={**judged.after, channel: worse})) is harmed
 
 
+def test_shares_are_of_what_can_be_explained_where_the_base_hides_the_excess(creeping) -> None:
+    hidden = replace(creeping, total_excess=-0.1, excess=dict.fromkeys(creeping.excess, -0.1))
+    for seen in (creeping, hidden):
+        first, *others = assemble(seen).candidates
+        assert first.id == "creep" and 0.97 < first.explained_share <= 1.0
+        assert others and all(0.0 <= c.explained_share < first.explained_share for c in others)
+        for c in others:
+            assert c.why_not.startswith(
+                (f"explains {100 * c.explained_share:.0f} % of the excess", "its fit ends")
+            ), c
+
+
 def test_the_energy_of_every_axis_adds_up_to_the_channels_excess(creeping) -> None:
     for channel in creeping.breakdown:
         for axis in ("time", "temperature", "amplitude", "branch", "reversals"):

@@ -136,18 +136,18 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
             by_key[key] = by_key.get(key, 0.0) + float(weight) * certain
             best.setdefault(key, explanation)
     size = {c: study.nominal.span[c] for c in study.excess}
-    told = 0.0 if study.chosen is None else _share(study.chosen.gain / max(count * study.total_excess, 1e-9))
+    told = 0.0 if study.chosen is None else _share(study, study.chosen.gain)
     found = []
     for key, probability in sorted(by_key.items(), key=lambda item: -item[1]):
         explanation = best[key]
         name, _, signal = key.partition(":")
-        gained = explanation.gain / max(count * study.total_excess, 1e-9)
+        gained = _share(study, explanation.gain)
         own = key in study.chosen.keys if study.chosen else False
         nrmse = {}
         for c in study.excess:
             reached = study.judged.after.get(c, 0.0) if study.judged else 0.0
             if not own:  # from the answer's own error, by how much more of the excess would be left
-                left, answer = (max(1.0 + study.excess[c] * (1.0 - g), 1.0) for g in (_share(gained), told))
+                left, answer = (max(1.0 + study.excess[c] * (1.0 - g), 1.0) for g in (gained, told))
                 reached *= float(np.sqrt(left / answer))
             nrmse[c] = reached / size[c]
         found.append(
@@ -156,7 +156,7 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
                 min(probability, 1.0),
                 nrmse,
                 signal or None,
-                explained_share=float(np.clip(gained, -1.0, 1.0)),
+                explained_share=gained,
                 why_not="" if own else _why_not(study, explanation),
             )
         )
@@ -185,12 +185,19 @@ def _explained_share(study: Study) -> float:
     return float(np.clip(best / max(study.evidence.count * study.total_excess, 1e-9), 0.0, 1.0))
 
 
-def _share(value: float) -> float:
-    return min(max(value, 0.0), 1.0)
+def _share(study: Study, gain: float) -> float:
+    """Return the share of the excess that a gain is, 0 to 1.
+
+    Where the base has moved its constants to follow an effect, little or no excess is left to compare with: there the
+    share is of the most that any effect explains.
+    """
+    known = [*study.singles, *study.rivals, *([study.chosen] if study.chosen else [])]
+    whole = max([study.evidence.count * study.total_excess, *(e.gain for e in known)])
+    return float(np.clip(gain / whole, 0.0, 1.0)) if whole > 0.0 else 0.0
 
 
 def _why_not(study: Study, explanation: Explanation) -> str:
-    gained = explanation.gain / max(study.evidence.count * study.total_excess, 1e-9)
+    gained = _share(study, explanation.gain)
     if study.chosen is None:
         return f"explains {100 * gained:.0f} % of the excess, which is not enough to name it"
     gap = explanation.chi_square - study.chosen.chi_square
