@@ -45,7 +45,7 @@ def plan_step(u, inverse, state):
             if limit == now:
                 continue
             found, second, gap = _after_excursion(
-                limit, opposite, direction, u, tolerance, False, packed, state
+                limit, opposite, direction, u, tolerance, True, packed, state
             )
             if found:
                 near = now
@@ -65,7 +65,6 @@ def plan_step(u, inverse, state):
                 excursion = far
                 v = second
                 break
-            _, second, gap = _after_excursion(limit, opposite, direction, u, tolerance, True, packed, state)
             if gap < best - tolerance:
                 best = gap
                 excursion = limit

@@ -32,7 +32,7 @@ from vo2_models.hysteresis.layout import HEADER, POLYNOMIAL, SINE, TABLE, TANH
 
 SETTINGS = 4
 NEAREST = 100.0
-"""Coarser tolerance of the search for the nearest output: 1e-10 of the range instead of the solver's 1e-12."""
+"""Coarser tolerance by which an output is nearer than another: 1e-10 of the range instead of the solver's 1e-12."""
 TANH_CURVATURE = 4.0 / (3.0 * math.sqrt(3.0))
 """Largest |tanh''|."""
 
@@ -161,9 +161,10 @@ def _next_knot(v, end, direction, packed, block):
 def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, packed, state):
     """Look for f(v) = u from `start` to `limit` (direction 1 up, -1 down).
 
-    Returns found, v, |f(v) - u|: the solution nearest to `start`; with `nearest` instead the input on this side
-    whose output is nearest to u (found is then False), or `best` itself where nothing comes closer than `best`.
+    Returns found, v, |f(v) - u|: the solution nearest to `start`. Where there is none, found is False, and with
+    `nearest` v is the input on this side whose output is nearest to u, or `start` where nothing comes closer than `best`.
     """
+    margin = NEAREST * tolerance if nearest else tolerance
     n = int(packed[0])
     kind = int(packed[1])
     shared = packed[2] == 1.0
@@ -233,18 +234,18 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
             known = fa
             # a straight line from here would meet u half way to this cut: the root is likely in the short interval
             cut = a + direction * 2.0 * abs(fa - u) / max(abs(slope_a), 1e-300)
-            if abs(fa - u) < best - tolerance:
+            if abs(fa - u) < best - margin:
                 best = abs(fa - u)
                 best_v = a
-            if not nearest and abs(fa - u) <= tolerance:
+            if abs(fa - u) <= tolerance:
                 return True, a, abs(fa - u)
         if monotone:
             # f rises with v: the sign at the far end decides
             fb, _ = _evaluate(b, packed, block, members, constant, weight, active, order)
-            if abs(fb - u) < best - tolerance:
+            if abs(fb - u) < best - margin:
                 best = abs(fb - u)
                 best_v = b
-            if not nearest and (fa - u) * (fb - u) <= 0.0:
+            if (fa - u) * (fb - u) <= 0.0:
                 if shared and count == 0 and weight > 0.0:
                     # f is linear in the envelope: (B.13) in closed form, kept in its piece against rounding
                     v = envelope_inverse(kind, block, 1, stride, 0, (u - constant) / weight)
@@ -271,16 +272,16 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
                 f, slope = _evaluate(middle, packed, block, members, constant, weight, active, order)
                 gap = abs(f - u)
                 slack = abs(slope) * 0.5 * h + curvature * h * h * 0.125
-                if gap < best - tolerance:
+                if gap < best - margin:
                     best = gap
                     best_v = middle
-                if nearest:
-                    if gap - slack >= best - tolerance:
-                        continue
-                elif gap > slack + tolerance:
+                # without a solution, an interval is of use only where it may come closer than the best
+                if gap > slack + tolerance and (
+                    not nearest or gap - slack >= best - margin or slack <= 0.5 * margin
+                ):
                     continue
                 if slack <= 0.5 * tolerance or h <= 1e-15 * (abs(near) + abs(far)):
-                    if not nearest and gap <= 2.0 * tolerance:
+                    if gap <= 2.0 * tolerance:
                         return True, middle, gap
                     continue
                 if abs(slope) > 0.5 * curvature * h:
@@ -291,14 +292,14 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
                     ff, _ = _evaluate(far, packed, block, members, constant, weight, active, order)
                     known_at = far
                     known = ff
-                    if abs(fn - u) < best - tolerance:
+                    if abs(fn - u) < best - margin:
                         best = abs(fn - u)
                         best_v = near
-                    if abs(ff - u) < best - tolerance:
+                    if abs(ff - u) < best - margin:
                         best = abs(ff - u)
                         best_v = far
                     # a solution at an end, such as a reversal point revisited, may show no change of sign after rounding
-                    if not nearest and abs(fn - u) <= tolerance:
+                    if abs(fn - u) <= tolerance:
                         return True, near, abs(fn - u)
                     if (fn - u) * (ff - u) <= 0.0:
                         v = _root(
@@ -317,7 +318,7 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
                             order,
                         )
                         return True, v, 0.0
-                    if not nearest and abs(ff - u) <= tolerance:
+                    if abs(ff - u) <= tolerance:
                         return True, far, abs(ff - u)
                     continue
                 stack[depth, 0] = middle
@@ -330,10 +331,11 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
         a = b
         first_piece = False
     fb, _ = _evaluate(limit, packed, block, members, constant, weight, active, order)
-    if abs(fb - u) < best - tolerance:
-        best = abs(fb - u)
+    gap = abs(fb - u)
+    if gap < best - margin or gap <= tolerance < best:
+        best = gap
         best_v = limit
-    return not nearest and best <= tolerance, best_v, best
+    return best <= tolerance, best_v, best
 
 
 @exact
@@ -366,24 +368,18 @@ def solve(u, inverse, state):
     if found:
         mirrored = now - (v - now)
         far_limit = max(far_limit, mirrored) if first > 0.0 else min(far_limit, mirrored)
-    found_other, other, gap_other = search_side(
-        -first, now, far_limit, u, tolerance, False, False, offset, packed, state
-    )
-    if found and found_other:
-        return v if abs(v - now) <= abs(other - now) else other
-    if found or found_other:
-        return v if found else other
-    # unreachable: the inputs looked at so far already bound how near an output can be
-    if gap_other < gap:
-        v, gap = other, gap_other
-    for k in range(2):
-        direction, limit = (first, near_limit) if k == 0 else (-first, far_limit)
-        _, trial, nearer = search_side(
-            direction, now, limit, u, NEAREST * tolerance, False, True, gap, packed, state
+        found, other, _ = search_side(
+            -first, now, far_limit, u, tolerance, False, False, offset, packed, state
         )
-        if nearer < gap:
-            v, gap = trial, nearer
-    return v
+        return other if found and abs(other - now) < abs(v - now) else v
+    # there the solution, or else the nearest output: what was looked at so far bounds how near it can be
+    found, other, nearer = search_side(-first, now, far_limit, u, tolerance, False, True, gap, packed, state)
+    if found:
+        return other
+    if nearer < gap:
+        v, gap = other, nearer
+    _, other, nearer = search_side(first, now, near_limit, u, tolerance, False, True, gap, packed, state)
+    return other if nearer < gap else v
 
 
 @exact
