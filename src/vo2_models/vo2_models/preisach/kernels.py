@@ -64,6 +64,22 @@ def leg_start(base_v, walls, half, buckets, scale):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
+def _node(q, share, p, table):
+    """Return the Everett function at wall `p`, between the nodes of the leg's first point."""
+    return (1.0 - share) * table[q, p] + share * table[q + 1, p]
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _polynomial(sign, base_u, left, right, parabola, p, walls, half):
+    """Return `cell_polynomial` from the Everett function at the cell's walls."""
+    width = walls[p + 1] - walls[p]
+    c0 = base_u + 2.0 * sign * (left + parabola)
+    c1 = 2.0 * sign * ((right - left) / width - half[p] * width)
+    c2 = 2.0 * sign * half[p]
+    return c0, c1, c2
+
+
+@njit(cache=True, error_model="numpy", inline="always")
 def cell_polynomial(sign, base_u, q, share, parabola, p, table, walls, half):
     """Return c0, c1, c2: the output on cell `p` is c0 + c1 t + c2 t^2 with t = v - walls[p].
 
@@ -71,13 +87,8 @@ def cell_polynomial(sign, base_u, q, share, parabola, p, table, walls, half):
     function is bilinear between the nodes, plus the parabolas of the two diagonal triangles it cuts, which
     vanish at the nodes.
     """
-    left = (1.0 - share) * table[q, p] + share * table[q + 1, p]
-    right = (1.0 - share) * table[q, p + 1] + share * table[q + 1, p + 1]
-    width = walls[p + 1] - walls[p]
-    c0 = base_u + 2.0 * sign * (left + parabola)
-    c1 = 2.0 * sign * ((right - left) / width - half[p] * width)
-    c2 = 2.0 * sign * half[p]
-    return c0, c1, c2
+    left, right = _node(q, share, p, table), _node(q, share, p + 1, table)
+    return _polynomial(sign, base_u, left, right, parabola, p, walls, half)
 
 
 @njit(cache=True, error_model="numpy")
@@ -148,6 +159,8 @@ def run(v, out, first, state, table, walls, half, buckets, scale):
     share = 0.0
     parabola = 0.0
     base_u = 0.0
+    left = 0.0
+    right = 0.0
     c0 = 0.0
     c1 = 0.0
     c2 = 0.0
@@ -176,11 +189,14 @@ def run(v, out, first, state, table, walls, half, buckets, scale):
         if not (begin <= x < end):
             if begin <= x and p < last and x < walls[p + 2]:
                 p += 1
+                left, right = right, _node(q, share, p + 1, table)
             elif x < end and p > 0 and x >= walls[p - 1]:
                 p -= 1
+                left, right = _node(q, share, p, table), left
             else:
                 p = locate(x, walls, buckets, scale)
-            c0, c1, c2 = cell_polynomial(sign, base_u, q, share, parabola, p, table, walls, half)
+                left, right = _node(q, share, p, table), _node(q, share, p + 1, table)
+            c0, c1, c2 = _polynomial(sign, base_u, left, right, parabola, p, walls, half)
             begin = walls[p]
             end = walls[p + 1] if p < last else np.inf
         t = x - begin
