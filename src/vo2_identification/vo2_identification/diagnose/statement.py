@@ -128,7 +128,7 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
     if study.one_loop and study.chosen is not None:
         temper = max(temper, study.thresholds.temper_on_one_loop * study.chosen.gain)
     weights = probabilities(chi, [len(e.coordinates) for e in everyone], count=count, temper=temper)
-    certain = 1.0 if study.outside is None else 0.5 * _explained_share(study)
+    certain = 1.0 if study.outside is None else 0.5 * _best_share(study)
     by_key: dict[str, float] = {}
     best: dict[str, Explanation] = {}
     for weight, explanation in zip(weights, everyone, strict=True):
@@ -180,7 +180,8 @@ def _constant(study: Study) -> str:
     return text
 
 
-def _explained_share(study: Study) -> float:
+def _best_share(study: Study) -> float:
+    """Return the share of the excess that the best single effect explains, 0 to 1."""
     best = max((e.gain for e in study.singles), default=0.0)
     return float(np.clip(best / max(study.evidence.count * study.total_excess, 1e-9), 0.0, 1.0))
 
@@ -266,7 +267,7 @@ def _unknown(study: Study) -> NamedEffect:
     named = sum(1.0 for _ in (study.chosen.hypotheses if study.chosen else ()))
     probability = 1.0 if not named else 0.5
     if study.chosen is None:
-        probability = 1.0 - 0.5 * _explained_share(study)
+        probability = 1.0 - 0.5 * _best_share(study)
     return NamedEffect("unknown", float(probability), statement, equation, {})
 
 
