@@ -60,7 +60,17 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect that was considered, with its fit to parts of the recording it was not fitted on."""
+    """An effect that was considered.
+
+    Attributes
+    ----------
+    id, signal : the effect, and on which channel where it may act on several
+    probability : 0 to 1
+    held_out_nrmse : channel -> root mean square error over range on parts that were not fitted: measured for the answer;
+        of a rival estimated from it, by how much more of the excess the rival leaves
+    explained_share : share of the excess that it explains by itself, 0 to 1
+    why_not : why it is not the answer; empty for the answer
+    """
 
     id: str
     probability: float
