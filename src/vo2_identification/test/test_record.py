@@ -244,3 +244,20 @@ def test_help_is_sentences(capsys):
     said = capsys.readouterr().out
     for option in ("--output", "--topics", "--duration", "--messages", "--storage", "--namespace"):
         assert option in said
+
+
+def test_what_came_before_the_stop_is_in_the_bag_though_the_recorder_lags_behind(graph, tmp_path):
+    # a recorder that got no processor time for a while: all of it is in its queue when it is asked to stop
+    total = 15_000
+    plenty = QoSProfile(depth=total, reliability=SAMPLE_QOS.reliability, durability=SAMPLE_QOS.durability)
+    publisher = graph.publisher(JointState, "/vo2/measurement", plenty)
+    with running(RECORD, "--output", tmp_path / "bag", "--topics", "/vo2/measurement") as process:
+        wait_for_recorder(publisher)
+        process.send_signal(signal.SIGSTOP)
+        for k in range(total):
+            publisher.publish(sample(k))
+        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGCONT)
+        _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, err
+    assert counted(tmp_path / "bag") == {"/vo2/measurement": total}

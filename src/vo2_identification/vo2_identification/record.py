@@ -25,7 +25,9 @@ twice a second: if the process is killed or the disk is full, any tool still rea
 the stamps of the samples, so a run in simulated time gives the same bag every time.
 """
 _SPIN_S = 0.05
-_DRAIN_S = 0.3
+_ARRIVE_S = 0.1
+_POLL_S = 0.005
+_DRAIN_S = 5.0  # at most, of the queue that a slow disk or busy processors left
 _GATHER_S = 0.02
 
 
@@ -112,13 +114,14 @@ def _spin(recorder: Recorder, options: argparse.Namespace, stop: StopFlag) -> No
             rate = (recorder.count - count_shown) / (now - shown)
             _show_progress(f"{recorder.count} messages in {now - started:.0f} s, {rate:.0f} per second now")
             shown, count_shown = now, recorder.count
-    # what the middleware has received before the stop belongs into the bag
-    deadline = time.monotonic() + _DRAIN_S
-    while time.monotonic() < deadline:
-        before = recorder.count + recorder.repeats
-        executor.spin_once(timeout_sec=_SPIN_S)
-        if recorder.count + recorder.repeats == before:
-            return
+    # what was published before the stop belongs into the bag, however long the queue has become
+    stopped_ns, heard = time.time_ns(), time.monotonic()
+    deadline = heard + _DRAIN_S
+    while (now := time.monotonic()) < min(deadline, heard + _ARRIVE_S):
+        if recorder.take_waiting(stopped_ns):
+            heard = now
+        else:
+            time.sleep(_POLL_S)
 
 
 def _enough(recorder: Recorder, options: argparse.Namespace) -> bool:

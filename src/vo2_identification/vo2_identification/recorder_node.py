@@ -99,6 +99,22 @@ class Recorder(Node):
             reliable = all(one.reliability == ReliabilityPolicy.RELIABLE for one in offered)
             self._subscribe(topic, latched=latched, reliable=reliable)
 
+    def take_waiting(self, before_ns: int) -> bool:
+        """Take at most one waiting message of each topic, no executor spinning.
+
+        Returns whether one of them was published before `before_ns` (system time [ns]): a topic that only has
+        younger ones to offer has nothing more that was due by then.
+        """
+        due = False
+        for subscription in self._subscriptions_by_topic.values():
+            with subscription.handle:
+                taken = subscription.handle.take_message(subscription.msg_type, True)
+            if taken is not None:
+                data, about = taken
+                subscription.callback(data)
+                due = due or about["source_timestamp"] <= before_ns
+        return due
+
     def finish(self) -> None:
         """Write what still waits for a first sample to tell the time."""
         if self._waiting and self._latest_ns is None:

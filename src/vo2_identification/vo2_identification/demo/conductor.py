@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import rclpy
@@ -110,16 +111,24 @@ class Conductor:
 
     def wait_for_sample(self, topic: str, stamp_s: float, timeout_s: float = 60.0) -> None:
         """Wait until a sample of this stamp or a later one comes on a topic."""
-        reader, newest = SampleReader(()), [0.0]
+        with self.listen(topic) as newest_s:
+            self.wait_for(
+                f"the sample of {stamp_s:.3f} s on {topic}", lambda: newest_s() >= stamp_s - 1e-9, timeout_s
+            )
+
+    @contextmanager
+    def listen(self, topic: str) -> Iterator[Callable[[], float]]:
+        """Listen to samples on a topic from now on; yield a function that tells the newest stamp [s], -inf for none."""
+        reader, newest = SampleReader(()), [float("-inf")]
 
         def note(data: bytes) -> None:
-            newest[0] = reader.read(data)[0] * 1e-9
+            newest[0] = max(newest[0], reader.read(data)[0] * 1e-9)
 
         subscription = self.node.create_subscription(JointState, topic, note, READ_QOS, raw=True)
-        self.wait_for(
-            f"the sample of {stamp_s:.3f} s on {topic}", lambda: newest[0] >= stamp_s - 1e-9, timeout_s
-        )
-        self.node.destroy_subscription(subscription)
+        try:
+            yield lambda: newest[0]
+        finally:
+            self.node.destroy_subscription(subscription)
 
     def set(self, node: str, values: Mapping[str, Value], timeout_s: float = 20.0) -> None:
         """Set parameters of a node (full name), all or none."""

@@ -70,18 +70,21 @@ def _replay(stage: Stage, first: Phase, last: Phase) -> None:
     stage.conductor.wait_for_nodes([f"{_REPLAY}/estimator"])
     # from the first sample after the model was set
     offset = first.start_s - recordings["measurement"].time_s[0] + 0.5 * period
-    replay = graph.start(
-        "replay",
-        arguments=[
-            str(stage.bag),
-            *("--topics", f"{COMPOSITE}/measurement"),
-            *("--offset", f"{offset:.6f}", "--duration", f"{last.end_s - first.start_s:.6f}"),
-            *("--rate", "1000"),
-        ],
-        remap={f"{COMPOSITE}/measurement": f"{_REPLAY}/measurement"},
-    )
-    graph.wait(replay, 60.0)
-    stage.conductor.pause(0.3)
+    end_s = last.end_s - 0.5 * period
+    with stage.conductor.listen(f"{_REPLAY}/estimate") as newest_s:
+        replay = graph.start(
+            "replay",
+            arguments=[
+                str(stage.bag),
+                *("--topics", f"{COMPOSITE}/measurement"),
+                *("--offset", f"{offset:.6f}", "--duration", f"{last.end_s - first.start_s:.6f}"),
+                *("--rate", "1000"),
+            ],
+            remap={f"{COMPOSITE}/measurement": f"{_REPLAY}/measurement"},
+        )
+        graph.wait(replay, 60.0)
+        # what has been played still waits in the estimator's queue where the processors are slow or busy
+        stage.conductor.wait_for("the last replayed estimate", lambda: newest_s() >= end_s, 60.0)
     graph.end(recorder)
     graph.end()
     before = recording_part(recordings["estimate"], first.start_s + 0.5 * period, last.end_s)[TIP_DEFLECTION]
