@@ -27,6 +27,7 @@ __all__ = ["Conductor"]
 _SPIN_S = 0.05
 _CHECK_S = 0.5
 _SETTLE_S = 0.5
+_ASK_AGAIN_S = 3.0
 
 
 class Conductor:
@@ -55,6 +56,7 @@ class Conductor:
         self._executor = fastest_executor(self._context)
         self._executor.add_node(self.node)
         self._clients: dict[tuple[str, type], Any] = {}
+        self._met_s: dict[str, float] = {}
         self._checked = 0.0
         self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, READ_QOS)
 
@@ -86,8 +88,10 @@ class Conductor:
     def wait_for_nodes(self, names: list[str], timeout_s: float = 60.0) -> None:
         """Wait until the parameter services of all nodes (full names) can be called."""
         for name in names:
-            client = self._client(f"{name}/set_parameters_atomically", SetParametersAtomically)
+            service = f"{name}/set_parameters_atomically"
+            client = self._client(service, SetParametersAtomically)
             self.wait_for(f"the node {name}", client.service_is_ready, timeout_s)
+            self._met_s.setdefault(service, time.monotonic())
 
     def wait_for_listeners(self, expected: Mapping[tuple[str, str], int], timeout_s: float = 60.0) -> None:
         """Wait until publishers have met their listeners: (node, topic), by full names, -> how many at least.
@@ -134,9 +138,8 @@ class Conductor:
         """Set parameters of a node (full name), all or none."""
         request = SetParametersAtomically.Request()
         request.parameters = [parameter.to_parameter_msg() for parameter in ros_parameters(values)]
-        result = self.call(
-            f"{node}/set_parameters_atomically", SetParametersAtomically, request, timeout_s
-        ).result
+        service = f"{node}/set_parameters_atomically"
+        result = self.call(service, SetParametersAtomically, request, timeout_s, again_s=_ASK_AGAIN_S).result
         if not result.successful:
             raise GraphError(f"{node} refused {', '.join(values)}: {result.reason}")
 
@@ -151,13 +154,25 @@ class Conductor:
         """Return a value of a diagnostic status (full name, as `vo2/plant: time`), empty if not heard."""
         return self.statuses[status][2].get(key, "") if status in self.statuses else ""
 
-    def call(self, name: str, kind: type, request: Any, timeout_s: float = 20.0) -> Any:
-        """Call a service (full name) and return its answer."""
+    def call(
+        self, name: str, kind: type, request: Any, timeout_s: float = 20.0, *, again_s: float | None = None
+    ) -> Any:
+        """Call a service (full name) and return its answer; ask again every `again_s` where that does no harm."""
         client = self._client(name, kind)
         self.wait_for(f"the service {name}", client.service_is_ready, timeout_s)
-        future: Future = client.call_async(request)
-        self.wait_for(f"an answer of {name}", future.done, timeout_s)
-        return future.result()
+        # a server drops an answer to a client that it has not met yet
+        met_s = self._met_s.setdefault(name, time.monotonic()) + _SETTLE_S
+        self.wait_for(f"the service {name}", lambda: time.monotonic() > met_s, timeout_s)
+        asked: list[tuple[float, Future]] = []
+
+        def answered() -> bool:
+            now = time.monotonic()
+            if not asked or (again_s is not None and now - asked[-1][0] > again_s):
+                asked.append((now, client.call_async(request)))
+            return any(future.done() for _, future in asked)
+
+        self.wait_for(f"an answer of {name}", answered, timeout_s)
+        return next(future.result() for _, future in asked if future.done())
 
     def _client(self, name: str, kind: type) -> Any:
         if (name, kind) not in self._clients:

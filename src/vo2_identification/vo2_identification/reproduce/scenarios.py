@@ -99,8 +99,10 @@ def run_loops(
                 conductor.set(
                     f"{space}/reference", {"csv.file": str(folder / "reference.csv"), "signal": "csv"}
                 )
-                conductor.set(f"{space}/plant", {"run_until_s": end_s})
                 conductor.set(f"{space}/controller", {"enabled": True})
+            # last, so that nothing is set in the course of time, at another sample in every run
+            for loop in loops:
+                conductor.set(f"{loop.namespace}/plant", {"run_until_s": end_s})
 
             def stand_still() -> bool:
                 stamps = [
@@ -129,7 +131,7 @@ def _start(
 ) -> None:
     space = loop.namespace
     parameters: dict[str, Mapping[str, Value]] = {
-        "plant": {"seed": seed, "true_channels": True, "clock": clock},
+        "plant": {"seed": seed, "true_channels": True, "clock": clock, "run_until_s": _FIRST_STAMP_S},
         "estimator": loop.estimator,
         "controller": {**loop.controller, "enabled": False},
         "reference": {"signal": "none"},

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from vo2_models.fitting.drive_fit import HoldOut, held_out
 from vo2_models.parameters import Value
-from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
+from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
 
 from vo2_identification.bags import read_bag
 from vo2_identification.demo.figures import measured_figure
@@ -119,10 +122,25 @@ def _side_by_side(stage: Stage, found: list[tuple[_Rig, Path]]) -> list[str]:
         conductor.wait_for(f"the model of {rig.name}", ended, 90.0)
         if conductor.value(status, "state") != "done":
             raise GraphError(f"{rig.name}: {conductor.statuses[status][1]}")
-    _replay(stage, rigs, _SECOND_PASS)
-    conductor.pause(0.5)
+    with ExitStack() as stack:
+        newest_s = [stack.enter_context(conductor.listen(f"{rig.space}/estimate")) for rig in rigs]
+        _replay(stage, rigs, _SECOND_PASS)
+        # what has been played still waits in an estimator's queue where the processors are slow or busy
+        for rig, newest in zip(rigs, newest_s, strict=True):
+            end_s = _measured(stage, rig).time_s[-1]
+            conductor.wait_for(
+                f"the last prediction of {rig.name}", partial(_reached, newest, end_s - 1e-6), 60.0
+            )
     graph.end()
     return [_evaluate(stage, rig) for rig in rigs]
+
+
+def _reached(newest_s: Callable[[], float], end_s: float) -> bool:
+    return newest_s() >= end_s
+
+
+def _measured(stage: Stage, rig: _Rig) -> Recording:
+    return read_bag(stage.folder / "measured" / rig.name, roles=("measurement",))[0]["measurement"]
 
 
 def _start_nodes(stage: Stage, rig: _Rig) -> None:
@@ -169,11 +187,9 @@ def _replay(stage: Stage, rigs: list[_Rig], topic: str) -> None:
 
 
 def _evaluate(stage: Stage, rig: _Rig) -> str:
-    folder = stage.folder / "measured"
-    recording = read_bag(folder / rig.name, roles=("measurement",))[0]["measurement"]
-    estimate = read_bag(folder / f"{rig.name}_predicted", namespace=rig.space, roles=("estimate",))[0][
-        "estimate"
-    ]
+    recording = _measured(stage, rig)
+    copy = stage.folder / "measured" / f"{rig.name}_predicted"
+    estimate = read_bag(copy, namespace=rig.space, roles=("estimate",))[0]["estimate"]
     drive, measured = recording["heater_voltage"], recording[rig.output]
     unseen = held_out(drive, rig.hold_out)
     predicted = estimate[rig.output]

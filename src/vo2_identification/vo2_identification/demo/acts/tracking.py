@@ -25,10 +25,13 @@ def run(stage: Stage) -> None:
             f"tracking {signal} for {duration:g} s of simulated time, composite and polynomial side by side"
         )
         until = {space: now[space] + duration for space in now}
+        # all is set before time goes on: set in its course, it would take effect at another sample in every run
         for space in now:
+            conductor.set(f"{space}/plant", {"run_until_s": now[space]})
             conductor.set(f"{space}/reference", {"signal": signal})
-            conductor.set(f"{space}/plant", {"run_until_s": until[space]})
             conductor.set(f"{space}/controller", {"enabled": True})
+        for space in now:
+            conductor.set(f"{space}/plant", {"run_until_s": until[space]})
 
         def stand_still(until: dict[str, float] = until) -> bool:
             return all(_stamp(stage, space) >= end - 1e-6 for space, end in until.items())
