@@ -12,6 +12,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rclpy.executors import Executor
     from vo2_plant_sim.interface.executable import StopFlag
 
     from vo2_identification.bags import BagWriter
@@ -56,7 +57,7 @@ def main(args: Sequence[str] | None = None) -> int:
 def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) -> int:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
-    from vo2_plant_sim.interface.executable import StopFlag
+    from vo2_plant_sim.interface.executable import StopFlag, fastest_executor, leave_graph
     from vo2_plant_sim.interface.one_host import FASTDDS_PROFILE
 
     from vo2_identification.recorder_node import Recorder, contract_topics
@@ -65,13 +66,15 @@ def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) ->
     known = contract_topics(options.namespace)
     topics = {name: known.get(name, "") for name in options.topics} if options.topics else known
     stop = StopFlag()
-    recorder = None
+    recorder = executor = None
     try:
         rclpy.init(args=ros_args, signal_handler_options=SignalHandlerOptions.NO)
         recorder = Recorder(bag, topics)
+        executor = fastest_executor()
+        executor.add_node(recorder)
         print(f"Recording {', '.join(topics)} into {bag.path}; Ctrl-C ends it.", flush=True)
         gc.freeze()  # what is loaded by now never goes: without it every collection stalls the loop
-        _spin(recorder, options, stop)
+        _spin(recorder, executor, options, stop)
         recorder.finish()
         failure = recorder.failure
         try:
@@ -83,16 +86,10 @@ def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) ->
     except (ValueError, RuntimeError) as error:  # rclpy raises bare RuntimeErrors of its C layer
         return _refuse(" ".join(str(error).split()))
     finally:
-        if recorder is not None:
-            recorder.destroy_node()
-        rclpy.try_shutdown()
+        leave_graph(executor, [] if recorder is None else [recorder])
 
 
-def _spin(recorder: Recorder, options: argparse.Namespace, stop: StopFlag) -> None:
-    from vo2_plant_sim.interface.executable import fastest_executor
-
-    executor = fastest_executor()
-    executor.add_node(recorder)
+def _spin(recorder: Recorder, executor: Executor, options: argparse.Namespace, stop: StopFlag) -> None:
     period = recorder.bag.flush_period_s
     started = shown = time.monotonic()
     count_shown = 0

@@ -64,7 +64,7 @@ def main(args: Sequence[str] | None = None) -> int:
 def _replay(bag: Outline, options: argparse.Namespace, ros_args: list[str]) -> int:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
-    from vo2_plant_sim.interface.executable import StopFlag
+    from vo2_plant_sim.interface.executable import StopFlag, leave_graph
     from vo2_plant_sim.interface.one_host import FASTDDS_PROFILE
 
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(FASTDDS_PROFILE))  # long queues: nothing lost
@@ -77,9 +77,7 @@ def _replay(bag: Outline, options: argparse.Namespace, ros_args: list[str]) -> i
     except (ValueError, RuntimeError) as error:  # rclpy raises bare RuntimeErrors of its C layer
         return _refuse(" ".join(str(error).split()))
     finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
+        leave_graph(None, [] if node is None else [node])
 
 
 def _publish_all(node: Node, bag: Outline, options: argparse.Namespace, stopped: Callable[[], bool]) -> int:

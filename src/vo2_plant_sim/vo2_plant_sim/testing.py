@@ -17,7 +17,7 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
-from vo2_plant_sim.interface.executable import fastest_executor
+from vo2_plant_sim.interface.executable import fastest_executor, leave_graph
 from vo2_plant_sim.interface.one_host import one_host_environment
 from vo2_plant_sim.interface.samples import SampleReader, SampleWriter
 from vo2_plant_sim.interface.topics import DIAGNOSTICS, LATCHED_QOS, READ_QOS, REFERENCE, SAMPLE_QOS
@@ -110,9 +110,7 @@ class Bench:
 
     def close(self) -> None:
         """Destroy all nodes, and let the executor go, which would keep their links alive."""
-        self.executor.shutdown()
-        for node in [*self._closing, self.node]:
-            node.destroy_node()
+        leave_graph(self.executor, [*self._closing, self.node])
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -132,6 +130,5 @@ def bench(arguments: Sequence[str] = ()) -> Iterator[Bench]:
         yield found
     finally:
         found.close()
-        rclpy.try_shutdown()
         os.environ.clear()
         os.environ.update(before)

@@ -15,7 +15,7 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from vo2_models.parameters import Value
-from vo2_plant_sim.interface.executable import fastest_executor
+from vo2_plant_sim.interface.executable import fastest_executor, leave_graph
 from vo2_plant_sim.interface.parameters import ros_parameters
 from vo2_plant_sim.interface.samples import SampleReader
 from vo2_plant_sim.interface.topics import DIAGNOSTICS, READ_QOS
@@ -62,8 +62,7 @@ class Conductor:
 
     def close(self) -> None:
         """Leave the graph."""
-        self.node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
+        leave_graph(self._executor, [self.node], self._context)
 
     def wait_for(self, what: str, condition: Callable[[], bool], timeout_s: float) -> None:
         """Spin until `condition`; raise a `GraphError` naming `what` after `timeout_s`."""

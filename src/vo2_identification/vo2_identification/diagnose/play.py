@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 import rclpy
 from rclpy.executors import Executor
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from vo2_models.device import preset
 from vo2_models.parameters import Value
-from vo2_plant_sim.interface.executable import StopFlag, fastest_executor
+from vo2_plant_sim.interface.executable import StopFlag, fastest_executor, leave_graph
 from vo2_plant_sim.interface.one_host import FASTDDS_PROFILE
 from vo2_plant_sim.interface.parameters import ros_parameters
 from vo2_plant_sim.interface.samples import SampleReader
@@ -110,12 +111,14 @@ def play(
     # what goes well is told by `progress`
     arguments = ["--log-level", "warn", "-r", f"__ns:={namespace}", "-r", f"identifier:__node:={_NAME}"]
     arguments += ["-p", f"preset:={device}", "-p", f"rate_hz:={1.0 / sample_period_s!r}"]
+    executor, nodes = None, list[Node]()
     try:
         try:
             rclpy.init(args=["--ros-args", *arguments], signal_handler_options=SignalHandlerOptions.NO)
         except RuntimeError as error:  # rclpy raises what its C layer says
             raise ValueError(" ".join(str(error).split())) from error
         node = IdentifierNode()
+        nodes.append(node)
         executor = fastest_executor()
         executor.add_node(node)
         settings: dict[str, Value] = {
@@ -134,6 +137,7 @@ def play(
             return False
         with BagWriter(bag) as writer:
             recorder = Recorder(writer, contract_topics(namespace))
+            nodes.append(recorder)
             executor.add_node(recorder)
             try:
                 _play(node, recorder, executor, stop, progress)
@@ -146,7 +150,7 @@ def play(
             raise recorder.failure
         return not stop.is_set
     finally:
-        rclpy.try_shutdown()
+        leave_graph(executor, nodes)
         for number, handler in handlers.items():
             signal.signal(number, handler)
 
