@@ -92,9 +92,10 @@ def leave_graph(
 ) -> None:
     """Stop spinning, destroy the nodes, leave the graph: in this order, with everything else already done.
 
-    A process that does not get out within six seconds is ended with status 1, and the threads' stacks are written
-    to standard error: Fast DDS 2.14 was seen, once in some hundred processes, to wait without end for a callback of
-    its own when it destroys its participant, and holds Python's lock meanwhile.
+    A process that does not get out within six seconds is ended with status 1, and the threads' stacks are written to
+    standard error. Fast DDS 2.14, seen once in some hundred processes that ended together: to destroy a participant it
+    spins, with Python's lock, until a discovery callback is over, and the callback waits for a mutex that the spinning
+    never leaves long enough.
     """
     faulthandler.dump_traceback_later(_LEAVE_S, exit=True, file=sys.__stderr__ or 2)
     try:
