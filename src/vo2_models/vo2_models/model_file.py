@@ -15,6 +15,9 @@ from vo2_models.parameters import Value
 __all__ = ["load_model_parameters", "save_model_parameters"]
 
 _PREFIX = "model."
+# the same safe subset in C where PyYAML has it: ten times as fast, and a model is some ten thousand numbers
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 def save_model_parameters(path: str | Path, parameters: Mapping[str, Value], *, comment: str = "") -> None:
@@ -42,7 +45,8 @@ def save_model_parameters(path: str | Path, parameters: Mapping[str, Value], *, 
         plain[name] = array.tolist()
     target = Path(path)
     head = "".join(f"# {line}\n" for line in comment.splitlines())
-    text = head + yaml.safe_dump({"/**": {"ros__parameters": plain}}, sort_keys=True, width=100)
+    tree = {"/**": {"ros__parameters": plain}}
+    text = head + yaml.dump(tree, Dumper=_DUMPER, sort_keys=True, width=100)
     target.parent.mkdir(parents=True, exist_ok=True)
     handle, partial = tempfile.mkstemp(dir=target.parent, prefix=target.name, suffix=".part")
     try:
@@ -63,7 +67,7 @@ def load_model_parameters(path: str | Path) -> dict[str, Value]:
     ValueError : not a ROS parameter file, or no `model.*` in it; the message names the file.
     """
     try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        content = yaml.load(Path(path).read_text(encoding="utf-8"), Loader=_LOADER)
     except OSError as error:
         raise ValueError(
             f"{path}: cannot be read ({error.strerror}); give a file that `fit` wrote"
