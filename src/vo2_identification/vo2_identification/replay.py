@@ -26,7 +26,7 @@ of the bag, so that they go on increasing.
 """
 _SLICE_S = 0.05
 _SETTLE_S = 0.3
-_ACKNOWLEDGE_S = 4.0  # Fast DDS asks for acknowledgement every 3 s
+_ACKNOWLEDGE_S = 30.0  # a subscriber with a long queue takes the rest only as it works that off
 _SLIP_S = 0.02
 _QUEUE = 5000
 _NS = 1_000_000_000
@@ -139,7 +139,7 @@ def _publish_all(node: Node, bag: Outline, options: argparse.Namespace, stopped:
             shown = now
     took = time.monotonic() - began
     if not stopped():
-        _wait_for_readers(publishers)  # the last messages are still on their way
+        _wait_for_readers(publishers, stopped)  # the last messages are still on their way
     _show_progress("")
     slow = (
         f" ({slipped:.2f} s longer than planned: this machine could not keep up)" if slipped > _SLIP_S else ""
@@ -168,12 +168,20 @@ def _wait_for_subscribers(
     return silent
 
 
-def _wait_for_readers(publishers: dict[str, Publisher]) -> None:
-    """Wait until every reliable subscriber has acknowledged what was published."""
+def _wait_for_readers(publishers: dict[str, Publisher], stopped: Callable[[], bool]) -> None:
+    """Wait until every reliable subscriber has acknowledged what was published; say so where one does not."""
     from rclpy.duration import Duration
 
-    for publisher in publishers.values():
-        publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_S))
+    deadline = time.monotonic() + _ACKNOWLEDGE_S
+    for topic, publisher in publishers.items():
+        while not publisher.wait_for_all_acked(Duration(seconds=_SLICE_S)):
+            if stopped() or time.monotonic() > deadline:
+                print(
+                    f"replay: a subscriber of {topic} has not taken the last messages within {_ACKNOWLEDGE_S:g} s; "
+                    "it may lack them",
+                    file=sys.stderr,
+                )
+                break
 
 
 def _clock_publisher(node: Node, rate_hz: float) -> Callable[[int], None]:

@@ -1,9 +1,11 @@
-"""Leaving the graph: what hangs there is ended, and says where it hung."""
+"""What every node relies on: a queue as long as it asks for, and an end."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+
+from vo2_plant_sim.testing import bench
 
 STUCK = """
 import ctypes
@@ -30,3 +32,12 @@ def test_a_process_that_cannot_leave_is_ended_and_says_where_it_hung():
     assert "Timeout" in done.stderr
     assert "destroy_node" in done.stderr
     assert "left" not in done.stdout
+
+
+def test_a_subscription_keeps_as_many_samples_as_it_asks_for():
+    count = 9000  # more than Fast DDS keeps by itself, fewer than READ_QOS asks for
+    with bench() as rig:
+        rig.hear("/vo2/measurement", ("heater_current",))
+        for k in range(count):
+            rig.say("/vo2/measurement", k, {"heater_current": 1e-3})
+        rig.until(lambda: len(rig.heard["/vo2/measurement"]) == count)
