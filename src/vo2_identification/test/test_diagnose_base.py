@@ -50,8 +50,12 @@ def test_a_tangent_in_blocks_is_the_dense_matrix() -> None:
     vectors, weights = rng.normal(size=(13, 4)), rng.normal(size=(7, 2))
     assert tangent.shape == dense.shape
     assert np.allclose(tangent.gram(), dense.T @ dense)
-    assert np.allclose(tangent.against(vectors), dense.T @ vectors)
-    assert np.allclose(tangent.against(vectors[:, 0]), dense.T @ vectors[:, 0])
+    for count in (1, 4, 40):
+        several = rng.normal(size=(13, count))
+        assert np.allclose(tangent.against(several), dense.T @ several)
+    silent = np.where(np.arange(13) < 6, 0.0, vectors[:, 0])
+    for vector in (vectors[:, 0], silent):
+        assert np.allclose(tangent.against(vector), dense.T @ vector)
     assert np.allclose(tangent.times(weights), dense @ weights)
     keep = rng.random(13) > 0.4
     assert np.allclose(tangent.restricted(keep).gram(), (dense * keep[:, None]).T @ (dense * keep[:, None]))
@@ -141,6 +145,18 @@ def test_what_acts_behind_the_film_may_share_its_simulation(name) -> None:
         assert np.array_equal(shared.channels[TIP_DEFLECTION], alone[:, 2])
     behind = effect.stage in BEHIND and drawn.get("signal") != HEATER_CURRENT
     assert nominal._films.cache_info().hits == behind
+
+
+def test_only_the_last_of_several_steps_is_returned_where_no_more_is_asked_for() -> None:
+    chain, current, dt = _model().model.simulation, _drive(), 1e-3
+    slow = {
+        "sensor_lag": {"signal": RESISTANCE, "time_constant": 3e-3},
+        "creep": {"share": 0.2, "time_constant": 0.05},
+    }
+    chain = chain.with_effects(slow)
+    film = corrected_film(chain, chain.run(current, dt=dt), dt, {})
+    assert np.array_equal(carried(chain, film, dt, every=4), carried(chain, film, dt)[3::4])
+    assert carried(chain, film, dt, every=7).shape == (current.size // 7, 9)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 from vo2_identification.bags import write_bag
 from vo2_identification.diagnose import diagnose, main, study, validate
 from vo2_identification.diagnose.evidence import gather
@@ -66,6 +67,21 @@ def test_an_unchanged_device_agrees(parameters) -> None:
     assert answer.verdict == "agrees"
     assert answer.effects == [] and answer.location == []
     validate(answer.to_dict())
+
+
+def test_the_cores_are_not_taken_twice(parameters) -> None:
+    def threads() -> set[int]:
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    during = []
+    with threadpool_limits(2, user_api="blas"):
+        study(
+            [concealed()],
+            parameters,
+            progress=lambda share, text: during.append(threads()) if share > 0 else None,
+        )
+        assert threads() == {2}
+    assert during and all(each == {1} for each in during)
 
 
 @pytest.mark.parametrize("device_seed", [9001, 9005])

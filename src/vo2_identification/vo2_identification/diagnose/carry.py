@@ -15,12 +15,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
+from vo2_models.device.borrow import borrow
 from vo2_models.device.chain import _film_deflection, _sense, _structure, _terminal_resistance
 from vo2_models.device.coefficients import BEHIND_FILM, CHANNELS, Sensor, neutral, sensor_index
 from vo2_models.device.coefficients import Coefficient as C
 from vo2_models.device.core import ENSEMBLE, _count_reversals, output_share
 from vo2_models.device.mode import mode_step
 from vo2_models.device.simulation import Simulation
+from vo2_models.device.state import SENSOR_LINE
 from vo2_models.device.state import Slot as S
 from vo2_models.fitting.enrichment import Correction
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
@@ -30,6 +32,7 @@ __all__ = ["Film", "carried", "corrected_film", "film_alone", "through_structure
 Floats = NDArray[np.float64]
 _SLOTS = len(S)
 _NEUTRAL = neutral()
+_IDEAL_R, _IDEAL_D = (sensor_index(channel, Sensor.IDEAL) for channel in (RESISTANCE, TIP_DEFLECTION))
 _BEHIND = np.array(
     [*BEHIND_FILM, *(sensor_index(channel, k) for channel in (RESISTANCE, TIP_DEFLECTION) for k in Sensor)]
 )
@@ -88,13 +91,21 @@ def corrected_film(
     return Film(out, rest, added, at_rest)
 
 
-def carried(simulation: Simulation, film: Film, dt: float) -> Floats:
-    """Return what `Simulation.run` would give (n, 9) with this film; noise is not added."""
+def carried(simulation: Simulation, film: Film, dt: float, *, every: int = 1) -> Floats:
+    """Return what `Simulation.run` would give (n, 9) with this film; noise is not added.
+
+    Parameters
+    ----------
+    simulation : with effects
+    film : (m, 9) of it
+    dt : sample period [s]
+    every : samples of which only the last is returned, n = m // every
+    """
     c, mode = simulation.prepared(dt)
-    result = film.out.copy()
+    result = film.out[every - 1 :: every].copy()
     _finish(
         simulation.kind, c, mode, simulation.poly_d, dt, film.rest, film.added_at_rest, film.added, film.out,
-        result,
+        np.zeros(_SLOTS), np.zeros((len(CHANNELS), 3)), np.zeros((len(CHANNELS), SENSOR_LINE)), every, result,
     )  # fmt: skip
     return result
 
@@ -163,11 +174,17 @@ def _behind_structure(c, mode, period, series):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _finish(kind, c, mode, poly_d, period, rest, at_rest, film, out, result):
+def _finish(kind, c, mode, poly_d, period, rest, at_rest, film, out, x, sensors, lines, every, result):
     """Terminals, structure and sensors of both channels, once more, on the corrected film."""
-    x = np.zeros(_SLOTS)
-    sensors = np.zeros((4, 3))
-    lines = np.zeros((4, 256))
+    c, mode, poly_d, film, out, result = (
+        borrow(c),
+        borrow(mode),
+        borrow(poly_d),
+        borrow(film),
+        borrow(out),
+        borrow(result),
+    )
+    x, sensors, lines = borrow(x), borrow(sensors), borrow(lines)
     x[S.FILM] = rest[5]
     x[S.OUT_D] = rest[8] + at_rest[1]
     still = _film_deflection(kind, c, x, poly_d)
@@ -185,8 +202,13 @@ def _finish(kind, c, mode, poly_d, period, rest, at_rest, film, out, result):
         resistance = out[k, 6] * 10.0 ** min(max(film[k, 0], -30.0), 30.0)
         tip = _structure(c, x, mode, _film_deflection(kind, c, x, poly_d), period)
         terminal = _terminal_resistance(c, x, resistance, out[k, 0])
-        result[k, 1] = _sense(c, 1, terminal, 0.0, k * period, period, k, sensors, lines)
-        result[k, 2] = _sense(c, 2, tip, 0.0, k * period, period, k, sensors, lines)
+        if c[_IDEAL_R] == 0.0:
+            terminal = _sense(c, 1, terminal, 0.0, k * period, period, k, sensors, lines)
+        if c[_IDEAL_D] == 0.0:
+            tip = _sense(c, 2, tip, 0.0, k * period, period, k, sensors, lines)
+        if (k + 1) % every == 0:
+            result[k // every, 1] = terminal
+            result[k // every, 2] = tip
 
 
 assert CHANNELS[1:3] == (RESISTANCE, TIP_DEFLECTION)

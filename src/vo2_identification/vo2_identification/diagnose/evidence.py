@@ -360,7 +360,7 @@ def _loop_columns(
         else:
             noise = nominal.noise[channel]
             gram = sum(
-                _sampled_gram(noise.whiten(f) * weight[row.where, None])
+                _sampled_gram(_weighed(noise.whiten(f), weight[row.where]))
                 for f, row in zip(features, own, strict=True)
             )
             directions = shape.spread(_main_directions(shape.whitened(np.asarray(gram))))
@@ -387,9 +387,15 @@ def _whitened(
             seen = (
                 through_structure(simulation, raw, parts[row.part].dt) if channel == TIP_DEFLECTION else raw
             )
-            block.append(noise.whiten(seen) * weight[row.where, None])
+            block.append(_weighed(noise.whiten(seen), weight[row.where]))
         blocks.append((slice(own[0].where.start, own[-1].where.stop), np.concatenate(block)))
     return tuple(blocks)
+
+
+def _weighed(columns: Floats, weight: Floats) -> Floats:
+    """Multiply columns (n, k) by weights (n,), in place: they are large."""
+    columns *= weight[:, None]
+    return columns
 
 
 def _sampled_gram(block: Floats, sample: int = 6000) -> Floats:

@@ -238,11 +238,11 @@ class Nominal:
         # a candidate may drive the simulation out of anything physical: it must only look very wrong
         if self.corrections:
             alone = film_alone(chain.coefficients)
-            out = _finite(carried(chain, self._films(alone.tobytes(), current.tobytes(), dt), dt))
+            film = self._films(alone.tobytes(), current.tobytes(), dt)
+            out = _finite(carried(chain, film, dt, every=steps))
         else:
-            out = _bounded(chain.run(current, dt=dt))
-        out = out[steps - 1 :: steps]
-        film = out[:, 5].clip(-1e4, 1e4)
+            out = _bounded(chain.run(current, dt=dt))[steps - 1 :: steps]
+        temperature = out[:, 5].clip(-1e4, 1e4)
         found = {}
         for k, channel in enumerate(CHANNELS):
             if channel == STAGE_TEMPERATURE and not preset(self.device).measures_temperature:
@@ -251,7 +251,7 @@ class Nominal:
             if channel in grids:
                 values = rounded_with_noise(values, grids[channel], self._noise_of(channel, values))
             found[channel] = np.log10(np.maximum(values, 1e-3)) if channel == RESISTANCE else values
-        return Response({k: v[lead:] for k, v in found.items()}, film[lead:])
+        return Response({k: v[lead:] for k, v in found.items()}, temperature[lead:])
 
 
 def rounded_with_noise(values: Floats, step: float, noise: Floats) -> Floats:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 from vo2_models.device.coefficients import HUGE
 from vo2_models.parameters import Value
 from vo2_models.recording import Recording
@@ -161,12 +162,25 @@ def study(
 ) -> Study:
     """As `diagnose`, with the evidence kept."""
     began = time.perf_counter()
-    limits = thresholds or Thresholds()
     clock = _Clock(progress, 700)
     clock.say("checking the data")
     if not recordings:
         raise Unusable("recording: found none, need at least one")
     nominal = model if isinstance(model, Nominal) else Nominal.from_parameters(model)
+    # the cores are taken side by side: threads inside BLAS would only wait for each other, and round as they please
+    with threadpool_limits(1, user_api="blas"):
+        found = _studied(recordings, nominal, thresholds or Thresholds(), clock, names)
+    return replace(found, seconds=time.perf_counter() - began)
+
+
+def _studied(
+    recordings: Sequence[Recording],
+    nominal: Nominal,
+    limits: Thresholds,
+    clock: _Clock,
+    names: Sequence[str],
+) -> Study:
+    """Check, simulate and explain recordings."""
     findings: list[Finding] = []
     parts = []
     for number, recording in enumerate(recordings, 1):
@@ -196,7 +210,7 @@ def study(
         nominal, evidence, evidence, tuple(findings), limits, excess=excess, total_excess=total,
         breakdown=tuple(breakdown(evidence, left)), one_loop=repeating,
     )  # fmt: skip
-    return replace(_explained(base, clock), seconds=time.perf_counter() - began)
+    return _explained(base, clock)
 
 
 def _started(part: Part, nominal: Nominal) -> tuple[Part, Response]:

@@ -42,6 +42,9 @@ _NO_LEVELS = np.zeros((2, 2, 0))
 _NO_DOMAINS = np.zeros((2, 2, 0), dtype=np.int64)
 _NO_PLAYS = np.zeros(7)
 _NO_POLYNOMIAL = np.zeros(1)
+_NEUTRAL = neutral()
+_SENSORS = tuple((sensor_index(each, Sensor.LAG), sensor_index(each, Sensor.IDEAL)) for each in CHANNELS)
+_FEEDBACK = list(FEEDBACK)
 
 Floats = NDArray[np.float64]
 
@@ -112,7 +115,7 @@ class Simulation:
         c = self.coefficients.copy()
         period = positive_number(dt, "dt")
         c[Coefficient.SAMPLE_PERIOD] = period
-        feedback = self.force_feedback or bool(np.any(c[list(FEEDBACK)] != 0.0))
+        feedback = self.force_feedback or bool(np.any(c[_FEEDBACK] != 0.0))
         c[Coefficient.FEEDBACK] = float(feedback)
         fastest = c[Coefficient.TIME_CONSTANT]
         steps = math.ceil(self.steps_per_constant * period / fastest) if feedback else 1
@@ -121,10 +124,8 @@ class Simulation:
             raise ValueError(
                 f"dead time: found {c[Coefficient.DEAD_TIME]:g} s, need at most {CURRENT_LINE - 2} sample periods"
             )
-        blank = neutral()
-        for channel in CHANNELS:
-            first, ideal = sensor_index(channel, Sensor.LAG), sensor_index(channel, Sensor.IDEAL)
-            c[ideal] = float(np.array_equal(c[first:ideal], blank[first:ideal]))
+        for first, ideal in _SENSORS:
+            c[ideal] = float(np.array_equal(c[first:ideal], _NEUTRAL[first:ideal]))
         if c[Coefficient.MODE_SHARE] == 0.0:
             return c, np.zeros((2, 4))
         return c, mode_step(

@@ -34,6 +34,8 @@ __all__ = ["Correction", "EnrichmentBasis", "everett_table", "preisach_features"
 Floats = NDArray[np.float64]
 DEEPEST = 512
 """Turning points remembered; deeper ones are merged, which only a signal of that many nested loops notices."""
+PIECE = 128
+"""Samples whose columns are written together."""
 
 
 def cubic_spline(knots: Floats, x: Floats) -> Floats:
@@ -259,16 +261,21 @@ class EnrichmentBasis:
         warmth = ((path - 0.5 * (low + high)) / (0.5 * (high - low)))[:, None]
         shape, chosen, share, lowest = self._cells()
         cells = cell_features(path, low=lowest, step=self.cell_k, shape=shape, chosen=chosen)
-        cells *= np.sqrt(share / self.domains)
-        return span * np.hstack(
-            [
-                self.density_share * p,
-                self.contrast_share * warmth * q,
-                self.mixing_share * x * q,
-                self.memoryless_share * cubic_spline(self._memoryless_knots(), path),
-                cells,
-            ]
-        )
+        plateau = cubic_spline(self._memoryless_knots(), path)
+        spread = np.sqrt(share / self.domains)
+        groups = self.groups
+        out = np.empty((path.size, self.columns))
+        # piece by piece: a recording's columns are larger than the processor's cache
+        for first in range(0, path.size, PIECE):
+            rows = slice(first, first + PIECE)
+            piece = out[rows]
+            np.multiply(self.density_share, p[rows], out=piece[:, groups["density"]])
+            np.multiply(self.contrast_share * warmth[rows], q[rows], out=piece[:, groups["contrast"]])
+            np.multiply(self.mixing_share * x[rows], q[rows], out=piece[:, groups["mixing"]])
+            np.multiply(self.memoryless_share, plateau[rows], out=piece[:, groups["memoryless"]])
+            np.multiply(cells[rows], spread, out=piece[:, groups["scatter"]])
+            piece *= span
+        return out
 
     def fold(self, weights: Floats, *, span: float) -> Correction:
         """Return `T -> features(T, span=span) @ weights` at the cost of a few basis functions."""
