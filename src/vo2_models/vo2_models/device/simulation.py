@@ -43,7 +43,7 @@ _NO_DOMAINS = np.zeros((2, 2, 0), dtype=np.int64)
 _NO_PLAYS = np.zeros(7)
 _NO_POLYNOMIAL = np.zeros(1)
 _NEUTRAL = neutral()
-_SENSORS = tuple((sensor_index(each, Sensor.LAG), sensor_index(each, Sensor.IDEAL)) for each in CHANNELS)
+_SENSOR_PLACES = tuple((sensor_index(each, Sensor.LAG), sensor_index(each, Sensor.IDEAL)) for each in CHANNELS)
 _FEEDBACK = list(FEEDBACK)
 
 Floats = NDArray[np.float64]
@@ -124,7 +124,7 @@ class Simulation:
             raise ValueError(
                 f"dead time: found {c[Coefficient.DEAD_TIME]:g} s, need at most {CURRENT_LINE - 2} sample periods"
             )
-        for first, ideal in _SENSORS:
+        for first, ideal in _SENSOR_PLACES:
             c[ideal] = float(np.array_equal(c[first:ideal], _NEUTRAL[first:ideal]))
         if c[Coefficient.MODE_SHARE] == 0.0:
             return c, np.zeros((2, 4))
