@@ -43,7 +43,9 @@ _NO_DOMAINS = np.zeros((2, 2, 0), dtype=np.int64)
 _NO_PLAYS = np.zeros(7)
 _NO_POLYNOMIAL = np.zeros(1)
 _NEUTRAL = neutral()
-_SENSOR_PLACES = tuple((sensor_index(each, Sensor.LAG), sensor_index(each, Sensor.IDEAL)) for each in CHANNELS)
+_SENSOR_PLACES = tuple(
+    (sensor_index(each, Sensor.LAG), sensor_index(each, Sensor.IDEAL)) for each in CHANNELS
+)
 _FEEDBACK = list(FEEDBACK)
 
 Floats = NDArray[np.float64]
