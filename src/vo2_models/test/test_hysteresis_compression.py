@@ -1,10 +1,11 @@
 """Entropy-optimal compression: published partitions, exhaustive search, and the compressed model itself."""
 
+from decimal import Decimal, localcontext
 from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from vo2_models.hysteresis import CPI, GPI, TanhEnvelopes, compress, merge, partition
 from vo2_models.hysteresis.compression_gpi import group_loss, scaling
@@ -80,13 +81,41 @@ def test_optimal_on_random_distributions(seed, n, data):
         largest = criterion == "max"
         found = partition(radii, weights, groups, criterion=criterion)
         best = exhaustive(radii, weights, groups, largest)
-        scale = group_loss(radii, weights) or 1.0
         assert found.cuts[0] == 0
         assert found.cuts[-1] == n
         assert np.all(np.diff(found.cuts) > 0)
-        assert value_of(radii, weights, found.cuts, largest) == pytest.approx(
-            best, rel=1e-7, abs=1e-12 * scale
-        )
+        assert value_of(radii, weights, found.cuts, largest) == pytest.approx(best, rel=1e-9, abs=1e-60)
+
+
+def exact_loss(radii, weights):
+    """The loss of a group in fifty digits."""
+    with localcontext() as context:
+        context.prec = 50
+        r, p = ([Decimal(float(x)) for x in values] for values in (radii, weights))
+        total = sum(p)
+        centre = sum(a * b for a, b in zip(p, r, strict=True)) / total
+        spread = sum((a * (b - centre)) ** 2 for a, b in zip(p, r, strict=True)).sqrt()
+        return float(spread * -sum(a / total * (a / total).ln() for a in p if a > 0))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 9))
+@settings(max_examples=200, deadline=None)
+@example(2810, 7)
+def test_light_plays_beside_heavy_ones_keep_their_digits(seed, n):
+    rng = np.random.default_rng(seed)
+    radii = np.cumsum(rng.uniform(1e-3, 1, n))
+    weights = rng.exponential(1, n) * 10.0 ** rng.uniform(-6, 3, n) * (rng.random(n) < 0.8)
+    weights[rng.integers(n)] += 1e-3
+    exact = pytest.approx(exact_loss(radii, weights), rel=1e-11, abs=1e-60)
+    assert partition(radii, weights, 1).loss == exact
+    assert group_loss(radii, weights) == exact
+
+
+@pytest.mark.parametrize("weights", [[1e-200, 1e-200, 1e-200], [1e-200, 1.0, 1e-200]])
+def test_plays_of_next_to_no_weight_are_none(weights):
+    found = partition([0.0, 1.0, 2.0], weights, 2)
+    assert found.loss == pytest.approx(0.0, abs=1e-60)
+    assert found.cuts.tolist() == [0, 1, 3]
 
 
 def test_scaling_is_half_the_range_of_the_play():

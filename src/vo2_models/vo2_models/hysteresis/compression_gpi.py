@@ -38,33 +38,44 @@ Criterion = Literal["sum", "max"]
 def _losses_from(start, radii, weights, losses):
     """losses[end] = E of the group radii[start:end], for every end > start.
 
-    The group grows from its first play upwards, and moments are taken about the play last added to
-    it, so that a light group next to a heavy one keeps its digits.
+    The group grows by one play at a time, and only what is not negative is added up: a light play beside a heavy one
+    keeps its digits. About the mean m (weights p) and the centre c (weights p^2) of the radii, with Q = sum p^2,
+
+        sum p^2 (r - m)^2 = sum p^2 (r - c)^2 + Q (m - c)^2,
+
+    and a play of share x of the total takes the entropy from H to (1 - x) H - x ln x - (1 - x) ln(1 - x).
     """
     total = 0.0
-    moment = 0.0
-    entropy_sum = 0.0
-    square0 = 0.0
-    square1 = 0.0
-    square2 = 0.0
+    squares = 0.0
+    mean = 0.0
+    centre = 0.0
+    apart = 0.0  # m - c
+    spread = 0.0  # sum p^2 (r - c)^2
+    entropy = 0.0
     for last in range(start, radii.size):
         p = weights[last]
-        if last > start:
-            # move the origin of the moments from the play below to this one
-            d = radii[last - 1] - radii[last]
-            moment += total * d
-            square2 += 2.0 * d * square1 + d * d * square0
-            square1 += d * square0
-        if p > 0.0:
+        if p * p > 0.0:  # below 1e-162 the square is nothing
+            from_mean = radii[last] - mean
+            from_centre = radii[last] - centre
+            share_before = total / (total + p)
+            square_before = squares / (squares + p * p)
             total += p
-            entropy_sum += p * math.log(p)
-            square0 += p * p
-        losses[last + 1] = 0.0
-        if total > 0.0:
-            mean = moment / total
-            spread = max(square2 - 2.0 * mean * square1 + mean * mean * square0, 0.0)
-            entropy = max(math.log(total) - entropy_sum / total, 0.0)
-            losses[last + 1] = math.sqrt(spread) * entropy
+            squares += p * p
+            share = p / total
+            square = p * p / squares
+            # the same difference twice: what is small is not to be left over from what is large
+            if share > 0.5:
+                apart = from_centre * square_before - from_mean * share_before
+            else:
+                apart += from_mean * share - from_centre * square
+            mean += from_mean * share
+            centre += from_centre * square
+            spread += p * p * square_before * from_centre * from_centre
+            small = min(share, share_before)
+            if small > 0.0:
+                mixed = small * math.log(small) + (1.0 - small) * math.log1p(-small)
+                entropy = share_before * entropy - mixed
+        losses[last + 1] = math.sqrt(spread + squares * apart * apart) * entropy
 
 
 @njit(cache=True, error_model="numpy")
@@ -110,10 +121,14 @@ def group_loss(radii: ArrayLike, weights: ArrayLike) -> float:
     total = float(np.sum(p))
     if total == 0:
         return 0.0
-    share = p / total
+    # about the heaviest play, so that a light one beside it keeps its digits
+    heaviest = int(np.argmax(p))
+    share, r = p / total, r - r[heaviest]
     centre = float(np.sum(share * r))
-    present = share[share > 0]
-    entropy = -float(np.sum(present * np.log(present)))
+    others = np.delete(share, heaviest)
+    others = others[others > 0]
+    rest = float(np.sum(others))
+    entropy = -float(np.sum(others * np.log(others))) - (1.0 - rest) * math.log1p(-rest)
     return total * math.sqrt(float(np.sum((share * (r - centre)) ** 2))) * entropy
 
 
