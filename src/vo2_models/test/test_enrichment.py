@@ -16,10 +16,10 @@ KNOTS = (np.arange(50.0, 60.0, 2.0), np.arange(0.0, 4.0, 1.0))
 WALLS = np.arange(44.0, 66.1, 0.5)
 
 
-def walk(size: int, *, seed: int = 1, step: float = 4.0) -> np.ndarray:
-    """Temperatures that turn often, with stretches at rest."""
+def walk(size: int, *, seed: int = 1) -> np.ndarray:
+    """Temperatures (n,) [degC] that turn often, with stretches at rest."""
     rng = np.random.default_rng(seed)
-    path = 55.0 + np.cumsum(rng.choice([-1.0, 0.0, 1.0], size) * rng.exponential(step, size)) * 0.3
+    path = 55.0 + np.cumsum(rng.choice([-1.0, 0.0, 1.0], size) * rng.exponential(1.2, size))
     return 45.0 + np.abs((path - 45.0) % 40.0 - 20.0)
 
 
@@ -114,7 +114,11 @@ def test_columns_are_the_terms_at_their_prior_size() -> None:
     assert np.nanmin(x) >= 0.0 and 0.9 < np.nanmax(x) <= 1.0  # the fraction of a typical device
     knots = np.arange(16.0, 106.0, 4.0)
     assert np.allclose(found["memoryless"], span * 0.3 * cubic_spline(knots, path), rtol=1e-12)
-    assert found["scatter"].min() >= 0.0 and found["scatter"].max() > 0.0
+    # a share p of N domains scatters by sqrt(p / N)
+    shape, chosen, share, lowest = basis._cells()
+    assert 0.98 < share.sum() <= 1.0
+    cells = cell_features(path, low=lowest, step=1.0, shape=shape, chosen=chosen)
+    assert np.allclose(found["scatter"], span * np.sqrt(share / 4000.0) * cells, rtol=1e-12)
 
 
 def test_a_folded_correction_is_the_weighted_sum_of_its_columns() -> None:

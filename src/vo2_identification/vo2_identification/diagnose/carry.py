@@ -92,14 +92,22 @@ def corrected_film(
 
 
 def carried(simulation: Simulation, film: Film, dt: float, *, every: int = 1) -> Floats:
-    """Return what `Simulation.run` would give (n, 9) with this film; noise is not added.
+    """Return what `Simulation.run` would give with this film; noise is not added.
 
     Parameters
     ----------
     simulation : with effects
-    film : (m, 9) of it
-    dt : sample period [s]
-    every : samples of which only the last is returned, n = m // every
+    film : of m samples, from `corrected_film`
+    dt : sample period of the film [s]
+    every : of so many samples only the last is returned
+
+    Returns
+    -------
+    (m // every, 9) columns as `chain.COLUMNS` describes
+
+    Raises
+    ------
+    ValueError : a delay does not fit its line at this sample period.
     """
     c, mode = simulation.prepared(dt)
     result = film.out[every - 1 :: every].copy()

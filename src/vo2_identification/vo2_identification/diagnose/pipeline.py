@@ -167,7 +167,7 @@ def study(
     if not recordings:
         raise Unusable("recording: found none, need at least one")
     nominal = model if isinstance(model, Nominal) else Nominal.from_parameters(model)
-    # the cores are taken side by side: threads inside BLAS would only wait for each other, and round as they please
+    # the cores are taken side by side: threads inside BLAS would only wait for each other
     with threadpool_limits(1, user_api="blas"):
         found = _studied(recordings, nominal, thresholds or Thresholds(), clock, names)
     return replace(found, seconds=time.perf_counter() - began)
@@ -180,7 +180,7 @@ def _studied(
     clock: _Clock,
     names: Sequence[str],
 ) -> Study:
-    """Check, simulate and explain recordings."""
+    """As `study`, with a clock that is running; its `seconds` are still to be filled in."""
     findings: list[Finding] = []
     parts = []
     for number, recording in enumerate(recordings, 1):

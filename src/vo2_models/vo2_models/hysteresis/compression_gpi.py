@@ -38,12 +38,13 @@ Criterion = Literal["sum", "max"]
 def _losses_from(start, radii, weights, losses):
     """losses[end] = E of the group radii[start:end], for every end > start.
 
-    The group grows by one play at a time, and only what is not negative is added up: a light play beside a heavy one
-    keeps its digits. About the mean m (weights p) and the centre c (weights p^2) of the radii, with Q = sum p^2,
+    `radii` (N,), `weights` (N,) of at most 1, `losses` (N + 1,) to fill. The group grows by one play at a time. With
+    the mean m (weights p) and the centre c (weights p^2) of its radii, and Q = sum p^2,
 
         sum p^2 (r - m)^2 = sum p^2 (r - c)^2 + Q (m - c)^2,
 
-    and a play of share x of the total takes the entropy from H to (1 - x) H - x ln x - (1 - x) ln(1 - x).
+    and a play of share x of the total takes the entropy from H to (1 - x) H - x ln x - (1 - x) ln(1 - x). Both sums
+    only grow, and m - c is followed by itself: a light play beside a heavy one keeps its digits.
     """
     total = 0.0
     squares = 0.0
@@ -54,7 +55,7 @@ def _losses_from(start, radii, weights, losses):
     entropy = 0.0
     for last in range(start, radii.size):
         p = weights[last]
-        if p * p > 0.0:  # below 1e-162 the square is nothing
+        if p * p > 0.0:  # of less than 1e-162 of the heaviest play nothing would be left
             from_mean = radii[last] - mean
             from_centre = radii[last] - centre
             share_before = total / (total + p)
@@ -171,8 +172,10 @@ def partition(
         )
     if criterion not in ("sum", "max"):
         raise ValueError(f"criterion: found {criterion!r}, need 'sum' or 'max'")
-    cuts, loss = _dynamic_programme(r, p, int(groups), criterion == "max")
-    return CompressionResult(cuts, float(loss))
+    # squares of weights must neither overflow nor vanish; a power of two changes no digit
+    exponent = np.frexp(np.max(p))[1]
+    cuts, loss = _dynamic_programme(r, np.ldexp(p, -exponent), int(groups), criterion == "max")
+    return CompressionResult(cuts, float(np.ldexp(loss, exponent)))
 
 
 def scaling(model: PlayModel, radii: ArrayLike, input_range: tuple[float, float]) -> FloatArray:
