@@ -8,7 +8,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from vo2_models.device import truth
-from vo2_models.excitation import damped_oscillation, random_levels
+from vo2_models.identification.excitation import damped_oscillation, random_levels
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
 from vo2_models.self_sensing import identify, self_sensing
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from vo2_identification.demo.conductor import Conductor
-from vo2_identification.demo.graph import Graph
+from vo2_interface.testing import free_domain, hear_ctrl_c
 from vo2_models.device import truth
-from vo2_models.excitation import damped_oscillation
+from vo2_models.identification.excitation import damped_oscillation
 from vo2_models.model_file import save_model_parameters
 from vo2_models.self_sensing import identify
-from vo2_plant_sim.testing import free_domain, hear_ctrl_c
+from vo2_studies.demo.conductor import Conductor
+from vo2_studies.demo.graph import Graph
 
 hear_ctrl_c()
 

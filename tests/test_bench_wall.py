@@ -1,7 +1,7 @@
 """`./vo2 bench --wall`: both loops run in wall time and are counted by their own clock."""
 
 import pytest
-from vo2_identification.wall_loops import main, measure
+from vo2_studies.bench.wall_loops import main, measure
 
 
 def test_a_length_that_is_none_is_refused(capsys):

@@ -17,7 +17,7 @@ TOPICS = [
 
 def demo(folder, *options):
     """Run the demo; what it printed."""
-    command = [sys.executable, "-m", "vo2_identification.demo", "--output", str(folder), "--seed", str(SEED)]
+    command = [sys.executable, "-m", "vo2_studies.demo", "--output", str(folder), "--seed", str(SEED)]
     done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout

@@ -9,14 +9,14 @@ import time
 import numpy as np
 import pytest
 from vo2_identification.bags import read_recording, write_bag
-from vo2_identification.diagnose import validate
 from vo2_identification.diagnose.command import continue_with_next, main
-from vo2_identification.diagnose.next_experiment import Excitable
 from vo2_identification.diagnose.play import play, playable_levels
-from vo2_identification.diagnose.result import NextExperiment
 from vo2_identification.fit import model_of
 from vo2_models.device import preset, surrogate_of_temperature, truth
-from vo2_models.excitation import Excitation, damped_oscillation
+from vo2_models.diagnosis import validate
+from vo2_models.diagnosis.next_experiment import Excitable
+from vo2_models.diagnosis.result import NextExperiment
+from vo2_models.identification.excitation import Excitation, damped_oscillation
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 DEVICE, SEED, DT = "integrated", 11, 1e-3
@@ -88,7 +88,7 @@ def test_an_interrupted_experiment_leaves_a_readable_bag_and_the_safe_current(gr
     script.write_text(
         "import sys, pathlib\n"
         "from vo2_identification.diagnose.command import continue_with_next\n"
-        "from vo2_identification.diagnose.result import NextExperiment\n"
+        "from vo2_models.diagnosis.result import NextExperiment\n"
         f"experiment = NextExperiment('a test', ['a', 'b'], 'excitation', {endless.playable()!r}, 'play it')\n"
         f"folder = pathlib.Path({str(tmp_path)!r})\n"
         f"sys.exit(continue_with_next(experiment, [folder / 'first'], {{'model.device': {DEVICE!r}}}, folder))\n"

@@ -5,9 +5,9 @@ import sys
 
 import pytest
 from rcl_interfaces.srv import SetParameters
-from vo2_identification.demo.graph import MODULES
+from vo2_interface.parameters import ros_parameters
 from vo2_models.model_file import load_model_parameters
-from vo2_plant_sim.interface.parameters import ros_parameters
+from vo2_studies.demo.graph import MODULES
 
 NODES = ("plant", "estimator", "controller", "reference", "feedforward", "identifier")
 
@@ -73,7 +73,7 @@ def test_an_unknown_option_is_refused_and_help_is_given(graph, executable):
 def test_the_demo_refuses_an_output_folder_it_cannot_write(graph, tmp_path):
     (tmp_path / "file").write_text("")
     ended = subprocess.run(
-        [sys.executable, "-m", "vo2_identification.demo", "--output", str(tmp_path / "file" / "demo")],
+        [sys.executable, "-m", "vo2_studies.demo", "--output", str(tmp_path / "file" / "demo")],
         env=graph.environment(),
         capture_output=True,
         text=True,

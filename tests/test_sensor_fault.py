@@ -5,9 +5,9 @@ import itertools
 import pytest
 from vo2_control.controller_node import ControllerNode
 from vo2_estimation.estimator_node import EstimatorNode
+from vo2_interface.model import operating_point
+from vo2_interface.testing import bench
 from vo2_models.device import truth
-from vo2_plant_sim.interface.model import operating_point
-from vo2_plant_sim.testing import bench
 
 MS = 1_000_000
 REFERENCE_M = 30e-6

@@ -31,9 +31,9 @@ setup(
             "convert = vo2_identification.convert:main",
             "fit = vo2_identification.fit:main",
             "diagnose = vo2_identification.diagnose:main",
-            "challenge = vo2_identification.challenge:main",
-            "measured = vo2_identification.measured.command:main",
-            "reproduce = vo2_identification.reproduce:main",
+            "challenge = vo2_identification.studies:challenge",
+            "measured = vo2_identification.studies:measured",
+            "reproduce = vo2_identification.studies:reproduce",
         ],
     },
 )

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from vo2_models.device import truth
-from vo2_models.excitation import damped_oscillation
-from vo2_models.fitting.device_fit import fit_device
+from vo2_models.identification.device_fit import fit_device
+from vo2_models.identification.excitation import damped_oscillation
 
 
 @pytest.fixture(scope="session")

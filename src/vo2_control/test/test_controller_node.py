@@ -9,9 +9,9 @@ from std_srvs.srv import Trigger
 from vo2_control.controller_node import ControllerNode
 from vo2_control.designs import design_feedforward, reach
 from vo2_control.reference_node import ReferenceNode
-from vo2_plant_sim.interface.model import operating_point
-from vo2_plant_sim.interface.parameters import ros_parameters
-from vo2_plant_sim.testing import bench
+from vo2_interface.model import operating_point
+from vo2_interface.parameters import ros_parameters
+from vo2_interface.testing import bench
 
 MS = 1_000_000
 UM = 1e-6

@@ -16,11 +16,11 @@ from vo2_control.feedforward import (
 from vo2_control.model_tuning import tuned_from_model
 from vo2_control.pid import PidGains, pid_controller
 from vo2_models.device import truth
-from vo2_models.excitation import damped_oscillation
-from vo2_models.fitting.device_fit import fit_device
 from vo2_models.hysteresis import EGPI, Polynomial, TanhEnvelopes
-from vo2_models.preisach.nonmonotonic import NonMonotonicPreisach
-from vo2_models.preisach.operator import PreisachOperator
+from vo2_models.hysteresis.preisach.nonmonotonic import NonMonotonicPreisach
+from vo2_models.hysteresis.preisach.operator import PreisachOperator
+from vo2_models.identification.device_fit import fit_device
+from vo2_models.identification.excitation import damped_oscillation
 
 PERIOD = 1e-3
 LIMITS = CurrentLimits(0.0, 12.78e-3)

@@ -15,14 +15,13 @@ from dataclasses import replace
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
-from vo2_models.parameters import Parameter
-from vo2_plant_sim.interface.diagnostics import Diagnostics
-from vo2_plant_sim.interface.executable import run_nodes
-from vo2_plant_sim.interface.lockstep import HOLD_SAMPLES, StampOrder
-from vo2_plant_sim.interface.model import PRESETS, model_parameters, operating_point
-from vo2_plant_sim.interface.parameters import ParameterTable
-from vo2_plant_sim.interface.samples import SampleReader, SampleWriter
-from vo2_plant_sim.interface.topics import (
+from vo2_interface.diagnostics import Diagnostics
+from vo2_interface.executable import run_nodes
+from vo2_interface.lockstep import HOLD_SAMPLES, StampOrder
+from vo2_interface.model import PRESETS, model_parameters, operating_point
+from vo2_interface.parameters import ParameterTable
+from vo2_interface.samples import SampleReader, SampleWriter
+from vo2_interface.topics import (
     COMMAND,
     COMMAND_CHANNELS,
     DEFAULT_NAMESPACE,
@@ -35,6 +34,7 @@ from vo2_plant_sim.interface.topics import (
     SAFE_CURRENT_A,
     SAMPLE_QOS,
 )
+from vo2_models.parameters import Parameter
 
 from vo2_control.controller import Controller
 from vo2_control.designer import Design, Designer, Task, make_design

@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from vo2_interface.model import operating_point
 from vo2_models.parameters import Parameter, Value
-from vo2_plant_sim.interface.model import operating_point
 
 from vo2_control.controller import Controller, CurrentLimits, LinearController, LinearLaw
 from vo2_control.generalised_plant import DESIGN_PARAMETERS, design_from_parameters

@@ -23,9 +23,9 @@ from vo2_models.hysteresis import RobustInverse
 from vo2_models.hysteresis.inverse_kernels import solve
 from vo2_models.hysteresis.kernels import egpi_step
 from vo2_models.hysteresis.prandtl_ishlinskii import PlayModel
+from vo2_models.hysteresis.preisach.nonmonotonic import NonMonotonicPreisach
+from vo2_models.hysteresis.preisach.nonmonotonic_inverse import NonMonotonicInverse
 from vo2_models.parameters import Value
-from vo2_models.preisach.nonmonotonic import NonMonotonicPreisach
-from vo2_models.preisach.nonmonotonic_inverse import NonMonotonicInverse
 from vo2_models.validation import finite_array, nonnegative, positive_number
 
 from vo2_control.controller import CurrentLimits

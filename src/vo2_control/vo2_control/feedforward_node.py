@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from vo2_models.parameters import Parameter
-from vo2_plant_sim.interface.diagnostics import Diagnostics
-from vo2_plant_sim.interface.executable import run_nodes
-from vo2_plant_sim.interface.lockstep import HOLD_SAMPLES, StampOrder
-from vo2_plant_sim.interface.model import PRESETS, model_parameters, operating_point
-from vo2_plant_sim.interface.parameters import ParameterTable
-from vo2_plant_sim.interface.samples import SampleReader, SampleWriter
-from vo2_plant_sim.interface.topics import (
+from vo2_interface.diagnostics import Diagnostics
+from vo2_interface.executable import run_nodes
+from vo2_interface.lockstep import HOLD_SAMPLES, StampOrder
+from vo2_interface.model import PRESETS, model_parameters, operating_point
+from vo2_interface.parameters import ParameterTable
+from vo2_interface.samples import SampleReader, SampleWriter
+from vo2_interface.topics import (
     COMMAND,
     COMMAND_CHANNELS,
     DEFAULT_NAMESPACE,
@@ -33,6 +32,7 @@ from vo2_plant_sim.interface.topics import (
     SAFE_CURRENT_A,
     SAMPLE_QOS,
 )
+from vo2_models.parameters import Parameter
 
 from vo2_control.designs import LIMIT_PARAMETERS, design_feedforward, open_loop, reach
 from vo2_control.safe import SafetySettings, Supervisor

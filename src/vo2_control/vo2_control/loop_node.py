@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 
 from rclpy.node import Node
 from vo2_estimation.estimator_node import EstimatorNode
-from vo2_plant_sim.interface.executable import beside_ros_arguments, run_nodes
+from vo2_interface.executable import beside_ros_arguments, run_nodes
 from vo2_plant_sim.plant_node import PlantNode
 
 from vo2_control.controller_node import ControllerNode

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from vo2_models.parameters import Parameter
-from vo2_plant_sim.interface.diagnostics import Diagnostics
-from vo2_plant_sim.interface.executable import run_nodes
-from vo2_plant_sim.interface.lockstep import StampOrder
-from vo2_plant_sim.interface.model import model_parameters
-from vo2_plant_sim.interface.parameters import ParameterTable
-from vo2_plant_sim.interface.samples import SampleReader, SampleWriter
-from vo2_plant_sim.interface.topics import (
+from vo2_interface.diagnostics import Diagnostics
+from vo2_interface.executable import run_nodes
+from vo2_interface.lockstep import StampOrder
+from vo2_interface.model import model_parameters
+from vo2_interface.parameters import ParameterTable
+from vo2_interface.samples import SampleReader, SampleWriter
+from vo2_interface.topics import (
     DEFAULT_NAMESPACE,
     LATCHED_QOS,
     MEASUREMENT,
@@ -22,6 +21,7 @@ from vo2_plant_sim.interface.topics import (
     REFERENCE,
     REFERENCE_CHANNELS,
 )
+from vo2_models.parameters import Parameter
 
 from vo2_control.references import REFERENCES, Multisine, ReferenceSignal, Steps, read_table, reference_signal
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 from vo2_estimation.estimator_node import EstimatorNode
+from vo2_interface.parameters import ros_parameters
+from vo2_interface.testing import bench
 from vo2_models.self_sensing import PolynomialSelfSensing, self_sensing
-from vo2_plant_sim.interface.parameters import ros_parameters
-from vo2_plant_sim.testing import bench
 
 CHANNELS = ("tip_deflection", "temperature_surrogate", "tip_deflection_bound")
 MS = 1_000_000
@@ -132,7 +132,7 @@ def test_a_reading_beyond_the_given_range_is_saturated_unless_the_check_is_off()
 def dynamic(frequency):
     """A model with a composite law and a mode of this frequency, 0 for none."""
     from vo2_models.device import truth
-    from vo2_models.excitation import damped_oscillation
+    from vo2_models.identification.excitation import damped_oscillation
     from vo2_models.self_sensing import identify
 
     share = damped_oscillation(np.linspace(0.0, 1.0, 13))

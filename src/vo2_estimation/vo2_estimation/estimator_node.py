@@ -7,15 +7,13 @@ from collections.abc import Mapping, Sequence
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from vo2_models.parameters import Parameter, Value
-from vo2_models.recording import HEATER_CURRENT, RESISTANCE
-from vo2_plant_sim.interface.diagnostics import Diagnostics
-from vo2_plant_sim.interface.executable import run_nodes
-from vo2_plant_sim.interface.lockstep import StampOrder
-from vo2_plant_sim.interface.model import PRESETS, model_parameters
-from vo2_plant_sim.interface.parameters import ParameterTable
-from vo2_plant_sim.interface.samples import SampleReader, SampleWriter
-from vo2_plant_sim.interface.topics import (
+from vo2_interface.diagnostics import Diagnostics
+from vo2_interface.executable import run_nodes
+from vo2_interface.lockstep import StampOrder
+from vo2_interface.model import PRESETS, model_parameters
+from vo2_interface.parameters import ParameterTable
+from vo2_interface.samples import SampleReader, SampleWriter
+from vo2_interface.topics import (
     DEFAULT_NAMESPACE,
     ESTIMATE,
     ESTIMATE_CHANNELS,
@@ -23,6 +21,8 @@ from vo2_plant_sim.interface.topics import (
     READ_QOS,
     SAMPLE_QOS,
 )
+from vo2_models.parameters import Parameter, Value
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE
 
 from vo2_estimation.resistance_check import ResistanceCheck, sensor_limits
 from vo2_estimation.schemes import SCHEMES, Scheme, make_scheme

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
+from vo2_interface.topics import ESTIMATE_CHANNELS
 from vo2_models.device.bank import PlayBank
 from vo2_models.hysteresis import EGPI
 from vo2_models.parameters import Value
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 from vo2_models.self_sensing import KINDS, self_sensing
-from vo2_plant_sim.interface.topics import ESTIMATE_CHANNELS
 
 __all__ = ["DRIVE", "SCHEMES", "DriveScheme", "ResistanceScheme", "Scheme", "make_scheme"]
 

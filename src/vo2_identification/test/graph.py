@@ -13,14 +13,22 @@ from typing import Any
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from vo2_plant_sim.interface.one_host import one_host_environment
-from vo2_plant_sim.testing import free_domain
+from vo2_interface.one_host import one_host_environment
+from vo2_interface.testing import free_domain
 
 PATIENCE_S = 45.0
 """How long a test waits for what normally takes a second: the machine may be busy."""
 DOMAIN = free_domain()
 _SOURCES = Path(__file__).resolve().parents[2]
-_PACKAGES = ("vo2_models", "vo2_plant_sim", "vo2_estimation", "vo2_control", "vo2_identification")
+_PACKAGES = (
+    "vo2_models",
+    "vo2_interface",
+    "vo2_plant_sim",
+    "vo2_estimation",
+    "vo2_control",
+    "vo2_identification",
+    "vo2_studies",
+)
 
 
 def environment() -> dict[str, str]:

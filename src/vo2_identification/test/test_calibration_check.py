@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from vo2_identification.calibration_check import check_calibration, judge_fit
 from vo2_identification.fit import model_of
-from vo2_identification.plausibility import impossible, unusual
 from vo2_models.device.model import DeviceModel, SensorModel
-from vo2_models.fitting.device_fit import FitResult
+from vo2_models.identification.calibration_check import check_calibration, judge_fit
+from vo2_models.identification.device_fit import FitResult
+from vo2_models.identification.plausibility import impossible, unusual
 from vo2_models.recording import (
     HEATER_CURRENT,
     RESISTANCE,

@@ -7,17 +7,18 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 from vo2_identification.bags import write_bag
-from vo2_identification.diagnose import diagnose, main, study, validate
-from vo2_identification.diagnose.evidence import gather
-from vo2_identification.diagnose.files import write_results
-from vo2_identification.diagnose.nominal import Nominal
-from vo2_identification.diagnose.part import prepare
-from vo2_identification.diagnose.pipeline import _worsens
-from vo2_identification.diagnose.several import Option
-from vo2_identification.diagnose.statement import assemble
+from vo2_identification.diagnose import main
 from vo2_identification.fit import model_of
 from vo2_models.device import DeviceModel, preset, surrogate_of_temperature, truth
-from vo2_models.excitation import Excitation, composite_recording, damped_oscillation
+from vo2_models.diagnosis import diagnose, study, validate
+from vo2_models.diagnosis.evidence import gather
+from vo2_models.diagnosis.files import write_results
+from vo2_models.diagnosis.nominal import Nominal
+from vo2_models.diagnosis.part import prepare
+from vo2_models.diagnosis.pipeline import _worsens
+from vo2_models.diagnosis.several import Option
+from vo2_models.diagnosis.statement import assemble
+from vo2_models.identification.excitation import Excitation, composite_recording, damped_oscillation
 from vo2_models.model_file import load_model_parameters, save_model_parameters
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 

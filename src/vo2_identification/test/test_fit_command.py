@@ -7,7 +7,7 @@ import pytest
 from vo2_identification.bags import read_recording, write_bag
 from vo2_identification.fit import main
 from vo2_models.device import DeviceModel, truth
-from vo2_models.excitation import damped_oscillation, random_levels
+from vo2_models.identification.excitation import damped_oscillation, random_levels
 from vo2_models.model_file import load_model_parameters
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
@@ -118,7 +118,7 @@ def test_interrupting_is_one_line(bag, capsys, tmp_path, monkeypatch):
     def interrupt(*_arguments, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("vo2_models.fitting.device_fit.fit_device", interrupt)
+    monkeypatch.setattr("vo2_models.identification.device_fit.fit_device", interrupt)
     output = str(tmp_path / "model.yaml")
     assert main(["--bag", str(bag), "--device", "integrated", "--output", output, "--quiet"]) == 130
     assert capsys.readouterr().err.splitlines()[-1] == f"fit: interrupted; {output} is not written"

@@ -10,14 +10,14 @@ from vo2_identification.excitation_plan import (
 )
 from vo2_identification.fit import model_of
 from vo2_identification.identifier_node import IdentifierNode
+from vo2_interface.model import operating_point
+from vo2_interface.parameters import ParameterTable
+from vo2_interface.testing import bench
 from vo2_models.device import truth
-from vo2_models.excitation import damped_oscillation
-from vo2_models.fitting.digest import DIGEST_PARAMETERS
+from vo2_models.identification.digest import DIGEST_PARAMETERS
+from vo2_models.identification.excitation import damped_oscillation
 from vo2_models.model_file import load_model_parameters, save_model_parameters
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
-from vo2_plant_sim.interface.model import operating_point
-from vo2_plant_sim.interface.parameters import ParameterTable
-from vo2_plant_sim.testing import bench
 
 MS = 1_000_000
 

@@ -17,8 +17,8 @@ from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from vo2_identification.bags import read_bag, read_recording
-from vo2_plant_sim.interface.samples import SampleWriter
-from vo2_plant_sim.interface.topics import LATCHED_QOS, SAMPLE_QOS
+from vo2_interface.samples import SampleWriter
+from vo2_interface.topics import LATCHED_QOS, SAMPLE_QOS
 
 from vo2_identification import record
 

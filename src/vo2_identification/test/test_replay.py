@@ -13,8 +13,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from vo2_identification.bags import write_bag
 from vo2_identification.bags.playback import outline, schedule
+from vo2_interface.topics import LATCHED_QOS, READ_QOS
 from vo2_models.recording import Recording
-from vo2_plant_sim.interface.topics import LATCHED_QOS, READ_QOS
 
 from vo2_identification import replay
 

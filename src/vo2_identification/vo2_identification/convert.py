@@ -68,10 +68,11 @@ def _convert(options: argparse.Namespace) -> int:
 
 
 def _convert_file(file: Path, column_map: ColumnMap, options: argparse.Namespace, *, several: bool) -> None:
+    from vo2_models.identification.plausibility import impossible, unusual
+
     from vo2_identification.bags import write_bag
     from vo2_identification.bags.problems import in_few_lines
     from vo2_identification.conversion.converting import convert_file
-    from vo2_identification.plausibility import impossible, unusual
 
     for converted in convert_file(file, column_map, only=options.only):
         recording = converted.recording

@@ -12,7 +12,7 @@ from vo2_models.parameters import Value
 from vo2_models.recording import Recording
 
 if TYPE_CHECKING:
-    from vo2_identification.diagnose.result import Diagnosis
+    from vo2_models.diagnosis.result import Diagnosis
 
 __all__ = ["DiagnosisJob", "summary_values"]
 
@@ -58,7 +58,7 @@ class DiagnosisJob:
     def _run(self) -> None:
         try:
             # the compiler and the simulation load only now
-            from vo2_identification.diagnose.pipeline import diagnose
+            from vo2_models.diagnosis.pipeline import diagnose
 
             self.answer = diagnose([self.recording], self.parameters, progress=self._note)
         except _CancelledError:

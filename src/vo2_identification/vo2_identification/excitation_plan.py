@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from vo2_interface.model import operating_point
+from vo2_interface.parameters import ParameterTable
 from vo2_models.device.presets import preset
 from vo2_models.device.surrogate import surrogate_of_temperature
-from vo2_models.excitation import Excitation, composite_recording, damped_oscillation, random_levels
+from vo2_models.identification.excitation import (
+    Excitation,
+    composite_recording,
+    damped_oscillation,
+    random_levels,
+)
 from vo2_models.parameters import Parameter
-from vo2_plant_sim.interface.model import operating_point
-from vo2_plant_sim.interface.parameters import ParameterTable
 
 __all__ = [
     "EXCITATION_KINDS",

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from vo2_models.device import DeviceModel
-    from vo2_models.fitting.device_fit import FitResult
+    from vo2_models.identification.device_fit import FitResult
     from vo2_models.parameters import Value
 
     Floats = NDArray[np.float64]
@@ -107,10 +107,9 @@ def model_of(
     ------
     ValueError : recordings that cannot be fitted; the message says why.
     """
-    from vo2_models.fitting.device_fit import fit_device
+    from vo2_models.identification.calibration_check import check_calibration, judge_fit
+    from vo2_models.identification.device_fit import fit_device
     from vo2_models.self_sensing.characterise import characterise
-
-    from vo2_identification.calibration_check import check_calibration, judge_fit
 
     began = time.monotonic()
 
@@ -136,10 +135,9 @@ def model_of(
 def _digest(result: FitResult, recording: Recording, first: bool) -> dict[str, Value]:
     """What the loops left over along the first recording, for a later diagnosis; nothing where it has no cold start."""
     import numpy as np
-    from vo2_models.fitting.digest import digest_of
-    from vo2_models.fitting.enrichment import EnrichmentBasis
-
-    from vo2_identification.diagnose.reading import current_reading
+    from vo2_models.diagnosis.reading import current_reading
+    from vo2_models.identification.digest import digest_of
+    from vo2_models.identification.enrichment import EnrichmentBasis
 
     stop = result.ends[0]
     path, gap, tip = (
@@ -173,8 +171,8 @@ def _digest(result: FitResult, recording: Recording, first: bool) -> dict[str, V
 def _by_lag(model: DeviceModel, recording: Recording) -> dict[str, tuple[Floats, Floats]]:
     """Change of log10 R and of the deflection along a recording by each lag of the model, per second, the loops held."""
     import numpy as np
-    from vo2_models.fitting.digest import LAGS
-    from vo2_models.fitting.grid import on_grid
+    from vo2_models.identification.digest import LAGS
+    from vo2_models.identification.grid import on_grid
 
     grid = on_grid(recording)
     step = 0.01 * model.scalars["thermal.time_constant"]
@@ -194,9 +192,8 @@ def _by_lag(model: DeviceModel, recording: Recording) -> dict[str, tuple[Floats,
 def _noise(path: Floats, residual: Floats, result: FitResult, channel: str) -> tuple[float, ...]:
     """Innovation and colour of a channel's noise: of what even a richer loop shape leaves of the residual."""
     import numpy as np
-
-    from vo2_identification.diagnose.noise import fit_noise
-    from vo2_identification.diagnose.nominal import basis_of, span_of
+    from vo2_models.diagnosis.noise import fit_noise
+    from vo2_models.diagnosis.nominal import basis_of, span_of
 
     device = result.model.device
     good = np.isfinite(residual)
@@ -236,7 +233,7 @@ def _check_place(output: Path) -> None:
 
 
 def _summary(result: FitResult) -> list[str]:
-    from vo2_identification.calibration_check import noise_level
+    from vo2_models.identification.calibration_check import noise_level
 
     lines = []
     for channel, sensor in result.model.sensors.items():

@@ -23,18 +23,13 @@ from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
-from vo2_models.fitting.digest import DIGEST_PARAMETERS
-from vo2_models.fitting.drive_fit import HOLD_OUT
-from vo2_models.model_file import save_model_parameters
-from vo2_models.parameters import Parameter, Value
-from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
-from vo2_plant_sim.interface.diagnostics import Diagnostics
-from vo2_plant_sim.interface.executable import run_nodes
-from vo2_plant_sim.interface.lockstep import StampOrder
-from vo2_plant_sim.interface.model import PRESETS, model_parameters, operating_point
-from vo2_plant_sim.interface.parameters import ParameterTable, ros_parameters
-from vo2_plant_sim.interface.samples import SampleReader, SampleWriter
-from vo2_plant_sim.interface.topics import (
+from vo2_interface.diagnostics import Diagnostics
+from vo2_interface.executable import run_nodes
+from vo2_interface.lockstep import StampOrder
+from vo2_interface.model import PRESETS, model_parameters, operating_point
+from vo2_interface.parameters import ParameterTable, ros_parameters
+from vo2_interface.samples import SampleReader, SampleWriter
+from vo2_interface.topics import (
     COMMAND,
     COMMAND_CHANNELS,
     DEFAULT_NAMESPACE,
@@ -43,6 +38,11 @@ from vo2_plant_sim.interface.topics import (
     SAFE_CURRENT_A,
     SAMPLE_QOS,
 )
+from vo2_models.identification.digest import DIGEST_PARAMETERS
+from vo2_models.identification.drive_fit import HOLD_OUT
+from vo2_models.model_file import save_model_parameters
+from vo2_models.parameters import Parameter, Value
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
 
 from vo2_identification.diagnosis_job import DiagnosisJob, summary_values
 from vo2_identification.excitation_plan import EXCITATION_PARAMETERS, excitation_currents
@@ -302,10 +302,10 @@ class IdentifierNode(Node):
 
         def fit(recording: Recording) -> Mapping[str, Value]:
             if drive:
-                from vo2_models.fitting.drive_fit import fit_drive
+                from vo2_models.identification.drive_fit import fit_drive
 
                 return fit_drive(recording, drive, hold_out=hold_out, plays=plays, per_play=per_play)  # type: ignore[arg-type]
-            from vo2_models.fitting.device_fit import PLAYS
+            from vo2_models.identification.device_fit import PLAYS
 
             from vo2_identification.fit import model_of
 

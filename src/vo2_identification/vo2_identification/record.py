@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rclpy.executors import Executor
-    from vo2_plant_sim.interface.executable import StopFlag
+    from vo2_interface.executable import StopFlag
 
     from vo2_identification.bags import BagWriter
     from vo2_identification.recorder_node import Recorder
@@ -57,8 +57,8 @@ def main(args: Sequence[str] | None = None) -> int:
 def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) -> int:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
-    from vo2_plant_sim.interface.executable import StopFlag, fastest_executor, leave_graph
-    from vo2_plant_sim.interface.one_host import FASTDDS_PROFILE
+    from vo2_interface.executable import StopFlag, fastest_executor, leave_graph
+    from vo2_interface.one_host import FASTDDS_PROFILE
 
     from vo2_identification.recorder_node import Recorder, contract_topics
 

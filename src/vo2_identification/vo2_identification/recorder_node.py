@@ -12,7 +12,7 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos, QosDurability, QosReliability
-from vo2_plant_sim.interface.topics import LATCHED_QOS, READ_QOS, SAMPLE_QOS
+from vo2_interface.topics import LATCHED_QOS, READ_QOS, SAMPLE_QOS
 
 from vo2_identification.bags.channels import JOINT_STATE
 from vo2_identification.bags.qos import contract_qos

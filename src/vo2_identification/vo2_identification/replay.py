@@ -64,8 +64,8 @@ def main(args: Sequence[str] | None = None) -> int:
 def _replay(bag: Outline, options: argparse.Namespace, ros_args: list[str]) -> int:
     import rclpy
     from rclpy.signals import SignalHandlerOptions
-    from vo2_plant_sim.interface.executable import StopFlag, leave_graph
-    from vo2_plant_sim.interface.one_host import FASTDDS_PROFILE
+    from vo2_interface.executable import StopFlag, leave_graph
+    from vo2_interface.one_host import FASTDDS_PROFILE
 
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(FASTDDS_PROFILE))  # long queues: nothing lost
     stop = StopFlag()
@@ -186,8 +186,8 @@ def _wait_for_readers(publishers: dict[str, Publisher], stopped: Callable[[], bo
 def _clock_publisher(node: Node, rate_hz: float) -> Callable[[int], None]:
     """Return a function that publishes the bag's time, at most `rate_hz` times a second and never backwards."""
     from rosgraph_msgs.msg import Clock
-    from vo2_plant_sim.interface.samples import ClockWriter
-    from vo2_plant_sim.interface.topics import SAMPLE_QOS
+    from vo2_interface.samples import ClockWriter
+    from vo2_interface.topics import SAMPLE_QOS
 
     publisher = node.create_publisher(Clock, "/clock", SAMPLE_QOS)
     writer = ClockWriter()

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
-from vo2_models.fitting.enrichment import (
+from vo2_models.identification.enrichment import (
     DEEPEST,
     EnrichmentBasis,
     cubic_spline,
     everett_table,
     preisach_features,
 )
-from vo2_models.fitting.rough import cell_features, cell_sum
+from vo2_models.identification.rough import cell_features, cell_sum
 
 KNOTS = (np.arange(50.0, 60.0, 2.0), np.arange(0.0, 4.0, 1.0))
 WALLS = np.arange(44.0, 66.1, 0.5)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from vo2_models.excitation import (
+from vo2_models.identification.excitation import (
     Excitation,
     chirp,
     composite_recording,

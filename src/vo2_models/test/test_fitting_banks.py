@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from vo2_models.device import truth
-from vo2_models.excitation import damped_oscillation, random_levels
-from vo2_models.fitting.bank_fit import BankShape, evaluate, fit_bank, starting_shape
-from vo2_models.fitting.bank_uncertainty import bank_uncertainty
-from vo2_models.fitting.grid import on_grid
-from vo2_models.fitting.levenberg_marquardt import levenberg_marquardt
-from vo2_models.fitting.noise import correlation_inflation, noise_of_residual, residual_colour
+from vo2_models.identification.bank_fit import BankShape, evaluate, fit_bank, starting_shape
+from vo2_models.identification.bank_uncertainty import bank_uncertainty
+from vo2_models.identification.excitation import damped_oscillation, random_levels
+from vo2_models.identification.grid import on_grid
+from vo2_models.identification.levenberg_marquardt import levenberg_marquardt
+from vo2_models.identification.noise import correlation_inflation, noise_of_residual, residual_colour
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from vo2_models.device import preset, truth
-from vo2_models.excitation import damped_oscillation, random_levels
-from vo2_models.fitting.device_fit import fit_device
-from vo2_models.fitting.grid import on_grid
-from vo2_models.fitting.problem import Problem
+from vo2_models.identification.device_fit import fit_device
+from vo2_models.identification.excitation import damped_oscillation, random_levels
+from vo2_models.identification.grid import on_grid
+from vo2_models.identification.problem import Problem
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
 
 

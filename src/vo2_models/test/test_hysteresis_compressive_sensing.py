@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from scipy.optimize import nnls
-from vo2_models.excitation import damped_oscillation
 from vo2_models.hysteresis import EGPI, GPI, Linear, TanhEnvelopes
 from vo2_models.hysteresis.compressive_sensing_gpi import identify_play_weights
+from vo2_models.identification.excitation import damped_oscillation
 
 N = 60
 RADII = np.arange(N) / N

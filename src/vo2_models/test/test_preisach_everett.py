@@ -5,17 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize
-from vo2_models.excitation import first_order_reversal_fan
-from vo2_models.preisach.everett_rows import (
+from vo2_models.hysteresis.preisach.everett_rows import (
     everett_rows,
     mass_gradient,
     mass_gram,
     mass_map,
     node_values,
 )
-from vo2_models.preisach.grid import cell_areas, everett_table, pack
-from vo2_models.preisach.interior_point import nonnegative_masses, signed_masses
-from vo2_models.preisach.signed_area import signed_area_matrix
+from vo2_models.hysteresis.preisach.grid import cell_areas, everett_table, pack
+from vo2_models.hysteresis.preisach.interior_point import nonnegative_masses, signed_masses
+from vo2_models.hysteresis.preisach.signed_area import signed_area_matrix
+from vo2_models.identification.excitation import first_order_reversal_fan
 
 SEED = st.integers(0, 2**32 - 1)
 

@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 from scipy.optimize import nnls
-from vo2_models.excitation import damped_oscillation, first_order_reversal_fan
-from vo2_models.preisach import PreisachOperator
-from vo2_models.preisach.damped import inverse_map
-from vo2_models.preisach.least_squares import fit_preisach
-from vo2_models.preisach.nnls import RankDeficientError, nonnegative_least_squares
-from vo2_models.preisach.signed_area import signed_area_matrix
+from vo2_models.hysteresis.preisach import PreisachOperator
+from vo2_models.hysteresis.preisach.damped import inverse_map
+from vo2_models.hysteresis.preisach.least_squares import fit_preisach
+from vo2_models.hysteresis.preisach.nnls import RankDeficientError, nonnegative_least_squares
+from vo2_models.hysteresis.preisach.signed_area import signed_area_matrix
+from vo2_models.identification.excitation import damped_oscillation, first_order_reversal_fan
 
 SEED = st.integers(0, 2**32 - 1)
 

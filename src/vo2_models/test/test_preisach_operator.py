@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from vo2_models.preisach import PreisachOperator, PreisachState
-from vo2_models.preisach.grid import cell_areas, everett_table, pack, unpack
+from vo2_models.hysteresis.preisach import PreisachOperator, PreisachState
+from vo2_models.hysteresis.preisach.grid import cell_areas, everett_table, pack, unpack
 
 
 def relays(walls, density, bias, diagonal, inputs, parts=4):

@@ -3,9 +3,9 @@
 import itertools
 
 import pytest
+from vo2_interface.testing import bench
 from vo2_models.device import truth
 from vo2_plant_sim.plant_node import PlantNode
-from vo2_plant_sim.testing import bench
 
 CHANNELS = ("heater_current", "film_resistance", "tip_deflection")
 MS = 1_000_000

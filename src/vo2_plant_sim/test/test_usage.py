@@ -4,9 +4,9 @@ import sys
 from types import ModuleType
 
 import pytest
+from vo2_interface.executable import run_nodes
+from vo2_interface.usage import usage
 from vo2_models.parameters import Parameter
-from vo2_plant_sim.interface.executable import run_nodes
-from vo2_plant_sim.interface.usage import usage
 
 from vo2_plant_sim import plant_node
 

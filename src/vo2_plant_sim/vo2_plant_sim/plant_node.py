@@ -15,16 +15,14 @@ from collections.abc import Sequence
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from vo2_models.parameters import Parameter
-
-from vo2_plant_sim.interface.diagnostics import Diagnostics
-from vo2_plant_sim.interface.executable import run_nodes
-from vo2_plant_sim.interface.lockstep import HOLD_SAMPLES, REPEAT_S
-from vo2_plant_sim.interface.model import PRESETS, model_parameters
-from vo2_plant_sim.interface.parameters import ParameterTable
-from vo2_plant_sim.interface.samples import ClockWriter, SampleReader, SampleWriter
-from vo2_plant_sim.interface.timing import LoopTiming
-from vo2_plant_sim.interface.topics import (
+from vo2_interface.diagnostics import Diagnostics
+from vo2_interface.executable import run_nodes
+from vo2_interface.lockstep import HOLD_SAMPLES, REPEAT_S
+from vo2_interface.model import PRESETS, model_parameters
+from vo2_interface.parameters import ParameterTable
+from vo2_interface.samples import ClockWriter, SampleReader, SampleWriter
+from vo2_interface.timing import LoopTiming
+from vo2_interface.topics import (
     CLOCK,
     COMMAND,
     COMMAND_CHANNELS,
@@ -34,6 +32,8 @@ from vo2_plant_sim.interface.topics import (
     SAFE_CURRENT_A,
     SAMPLE_QOS,
 )
+from vo2_models.parameters import Parameter
+
 from vo2_plant_sim.simulated_device import SIMULATED_DEVICE_PARAMETERS, TRUE_CHANNELS, simulated_device
 
 __all__ = ["PLANT_PARAMETERS", "PlantNode", "main"]

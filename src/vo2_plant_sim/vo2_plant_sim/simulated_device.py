@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import yaml
+from vo2_interface.parameters import ParameterTable
 from vo2_models.device import truth
 from vo2_models.device.stepper import Stepper
 from vo2_models.parameters import Parameter
-
-from vo2_plant_sim.interface.parameters import ParameterTable
 
 __all__ = ["SIMULATED_DEVICE_PARAMETERS", "TRUE_CHANNELS", "SimulatedDevice", "simulated_device"]
 

@@ -1,36 +1,5 @@
-"""Compare recordings with a fitted simulation: where they differ, what was left out, how much it gains.
-
->>> from vo2_identification.diagnose import diagnose  # doctest: +SKIP
->>> diagnose([recording], load_model_parameters("model.yaml")).verdict  # doctest: +SKIP
-'agrees'
-"""
-
-from __future__ import annotations
-
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+"""The command `diagnose`; what it calls is `vo2_models.diagnosis`."""
 
 from vo2_identification.diagnose.command import main
 
-if TYPE_CHECKING:
-    from vo2_identification.diagnose.check import Unusable
-    from vo2_identification.diagnose.pipeline import Study, diagnose, study
-    from vo2_identification.diagnose.result import Diagnosis, validate
-
-__all__ = ["Diagnosis", "Study", "Unusable", "diagnose", "main", "study", "validate"]
-
-_HOME = {
-    "Diagnosis": "result",
-    "Study": "pipeline",
-    "Unusable": "check",
-    "diagnose": "pipeline",
-    "study": "pipeline",
-    "validate": "result",
-}
-
-
-def __getattr__(name: str) -> Any:
-    # the compiler and the simulation load only when something is diagnosed
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__} has no attribute {name}")
-    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+__all__ = ["main"]

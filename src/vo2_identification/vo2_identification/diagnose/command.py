@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 if TYPE_CHECKING:
+    from vo2_models.diagnosis.result import Diagnosis, NextExperiment
     from vo2_models.parameters import Value
-
-    from vo2_identification.diagnose.result import Diagnosis, NextExperiment
 
 __all__ = ["continue_with_next", "diagnose_bags", "main"]
 
@@ -62,7 +61,7 @@ def _run(options: argparse.Namespace) -> int:
     if output.exists() and not output.is_dir():
         raise ValueError(f"--output {output}: is a file, need a folder")
     parameters = load_model_parameters(options.model)
-    from vo2_identification.diagnose.nominal import Nominal
+    from vo2_models.diagnosis.nominal import Nominal
 
     try:
         Nominal.from_parameters(parameters)
@@ -90,9 +89,10 @@ def diagnose_bags(
     ------
     ValueError, OSError : what cannot be used, in one line.
     """
+    from vo2_models.diagnosis.pipeline import study
+
     from vo2_identification.bags import read_recording
     from vo2_identification.bags.problems import in_few_lines
-    from vo2_identification.diagnose.pipeline import study
 
     began = time.perf_counter()
     recordings, problems = [], []
@@ -101,9 +101,7 @@ def diagnose_bags(
         recordings.append(recording)
         problems += [f"{bag}: {problem}" for problem in in_few_lines(found)]
     with _Progress(quiet=quiet) as progress, ThreadPoolExecutor(1) as beside:
-        files = beside.submit(
-            import_module, "vo2_identification.diagnose.files"
-        )  # what draws takes a while to load
+        files = beside.submit(import_module, "vo2_models.diagnosis.files")  # what draws takes a while to load
         result = study(recordings, parameters, progress=progress, names=[str(bag) for bag in bags])
         spent = time.perf_counter() - began
         diagnosis: Diagnosis = files.result().write_results(result, output, problems=problems, seconds=spent)

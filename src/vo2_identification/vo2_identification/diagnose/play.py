@@ -21,13 +21,13 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
+from vo2_interface.executable import StopFlag, fastest_executor, leave_graph
+from vo2_interface.one_host import FASTDDS_PROFILE
+from vo2_interface.parameters import ros_parameters
+from vo2_interface.samples import SampleReader
+from vo2_interface.topics import COMMAND, MEASUREMENT, READ_QOS
 from vo2_models.device import preset
 from vo2_models.parameters import Value
-from vo2_plant_sim.interface.executable import StopFlag, fastest_executor, leave_graph
-from vo2_plant_sim.interface.one_host import FASTDDS_PROFILE
-from vo2_plant_sim.interface.parameters import ros_parameters
-from vo2_plant_sim.interface.samples import SampleReader
-from vo2_plant_sim.interface.topics import COMMAND, MEASUREMENT, READ_QOS
 
 from vo2_identification.bags import BagWriter
 from vo2_identification.identifier_node import IdentifierNode

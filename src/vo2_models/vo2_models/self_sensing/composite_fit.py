@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from vo2_models.device.bank import PlayBank
 from vo2_models.device.model import DeviceModel
-from vo2_models.fitting.bank_fit import BankShape, evaluate, fit_bank, starting_shape
-from vo2_models.fitting.grid import on_grid
-from vo2_models.fitting.loops_fit import SECTIONS, film_path
+from vo2_models.identification.bank_fit import BankShape, evaluate, fit_bank, starting_shape
+from vo2_models.identification.grid import on_grid
+from vo2_models.identification.loops_fit import SECTIONS, film_path
 from vo2_models.parameters import Value
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, Recording
 from vo2_models.self_sensing.records import COMPOSITE

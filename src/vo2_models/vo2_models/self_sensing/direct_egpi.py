@@ -15,9 +15,9 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.device.bank import PlayBank
-from vo2_models.fitting.bank_fit import fit_bank, starting_shape
 from vo2_models.hysteresis import EGPI
 from vo2_models.hysteresis.kernels import egpi_step
+from vo2_models.identification.bank_fit import fit_bank, starting_shape
 from vo2_models.parameters import Value
 from vo2_models.self_sensing.bounds import bound_table, table_at
 from vo2_models.self_sensing.records import SECTION

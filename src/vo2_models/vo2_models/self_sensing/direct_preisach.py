@@ -16,12 +16,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vo2_models.hysteresis.preisach import PreisachOperator
+from vo2_models.hysteresis.preisach.grid import cell_areas, cell_count, pack
+from vo2_models.hysteresis.preisach.memory import PreisachState
+from vo2_models.hysteresis.preisach.nnls import nonnegative_least_squares
+from vo2_models.hysteresis.preisach.signed_area import signed_area_matrix
 from vo2_models.parameters import Value
-from vo2_models.preisach import PreisachOperator
-from vo2_models.preisach.grid import cell_areas, cell_count, pack
-from vo2_models.preisach.memory import PreisachState
-from vo2_models.preisach.nnls import nonnegative_least_squares
-from vo2_models.preisach.signed_area import signed_area_matrix
 from vo2_models.self_sensing.bounds import bound_table, table_at
 from vo2_models.self_sensing.polynomial import polynomial_step
 from vo2_models.self_sensing.records import SECTION

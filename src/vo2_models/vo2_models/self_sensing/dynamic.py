@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from vo2_models.device.bank import PlayBank
 from vo2_models.device.mode import mode_step
-from vo2_models.fitting.bank_fit import BankShape
+from vo2_models.identification.bank_fit import BankShape
 from vo2_models.parameters import Value
 from vo2_models.self_sensing.bounds import bound_table
 from vo2_models.self_sensing.composite import CompositeSelfSensing

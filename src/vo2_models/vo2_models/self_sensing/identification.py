@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from vo2_models.fitting.device_fit import fit_device
+from vo2_models.identification.device_fit import fit_device
 from vo2_models.parameters import Value
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
 from vo2_models.self_sensing.characterise import characterise

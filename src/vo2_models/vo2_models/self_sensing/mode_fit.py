@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from vo2_models.device.mode import mode_step
-from vo2_models.fitting.bank_fit import BankShape, evaluate, shape_rules
-from vo2_models.fitting.levenberg_marquardt import levenberg_marquardt
+from vo2_models.identification.bank_fit import BankShape, evaluate, shape_rules
+from vo2_models.identification.levenberg_marquardt import levenberg_marquardt
 
 __all__ = ["REMOVED", "ModeFit", "fit_law_through_mode", "fit_mode", "through_mode"]
 

@@ -1,0 +1,43 @@
+"""What every node relies on: a queue as long as it asks for, and an end."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+from vo2_interface.testing import bench
+
+STUCK = """
+import ctypes
+from vo2_interface import executable
+
+executable._LEAVE_S = 0.5
+
+
+class Stuck:
+    def destroy_node(self):
+        ctypes.PyDLL(None).sleep(60)  # as a C extension that never gives Python's lock back
+
+
+executable.leave_graph(None, [Stuck()])
+print("left")
+"""
+
+
+def test_a_process_that_cannot_leave_is_ended_and_says_where_it_hung():
+    done = subprocess.run(
+        [sys.executable, "-c", STUCK], capture_output=True, text=True, timeout=50, check=False
+    )
+    assert done.returncode == 1
+    assert "Timeout" in done.stderr
+    assert "destroy_node" in done.stderr
+    assert "left" not in done.stdout
+
+
+def test_a_subscription_keeps_as_many_samples_as_it_asks_for():
+    count = 9000  # more than Fast DDS keeps by itself, fewer than READ_QOS asks for
+    with bench() as rig:
+        rig.hear("/vo2/measurement", ("heater_current",))
+        for k in range(count):
+            rig.say("/vo2/measurement", k, {"heater_current": 1e-3})
+        rig.until(lambda: len(rig.heard["/vo2/measurement"]) == count)

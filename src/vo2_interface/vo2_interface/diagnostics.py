@@ -1,0 +1,105 @@
+"""Health of a node on `/diagnostics`: said when it changes and again at a slow beat."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from vo2_interface.samples import stamp_message
+from vo2_interface.topics import DIAGNOSTICS, SAMPLE_QOS
+
+__all__ = ["Diagnostics"]
+
+_LEVELS = {
+    "ok": DiagnosticStatus.OK,
+    "warn": DiagnosticStatus.WARN,
+    "error": DiagnosticStatus.ERROR,
+}
+_WATCH_S = 0.5
+_LINKS = "links"
+
+
+class Diagnostics:
+    """Publishes one status per topic of concern (`input`, `model`, `progress`, ...).
+
+    A message is sent when a status changes; `beat` repeats the present ones for late listeners. What
+    goes wrong, and that it is well again, is also logged once per change.
+    """
+
+    def __init__(self, node: Node, *, hardware_id: str = "") -> None:
+        self._node = node
+        self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, SAMPLE_QOS)
+        self._present: dict[str, tuple[str, str, dict[str, str]]] = {}
+        self._watched: list[Publisher] = []
+        self._name = node.get_fully_qualified_name().lstrip("/")
+        self.hardware_id = hardware_id
+
+    def report(
+        self,
+        topic: str,
+        level: str,
+        text: str,
+        values: Mapping[str, object] | None = None,
+        *,
+        stamp_ns: int | None = None,
+    ) -> None:
+        """Set the status `topic` to `level` (ok, warn, error) with `text`; publish it if it changed."""
+        told = {key: str(value) for key, value in (values or {}).items()}
+        before = self._present.get(topic)
+        if before == (level, text, told):
+            return
+        self._present[topic] = (level, text, told)
+        if topic != _LINKS:
+            self._send([topic], stamp_ns)
+        if before is None or before[:2] != (level, text):
+            self._log(topic, level, text, first=before is None)
+
+    def watch_listeners(self, publisher: Publisher) -> None:
+        """Report on `links` how many listeners the publisher has, again and again for who comes late."""
+        if not self._watched:
+            self._node.create_timer(_WATCH_S, self._report_listeners)
+        self._watched.append(publisher)
+
+    def _report_listeners(self) -> None:
+        counts = {publisher.topic_name: publisher.get_subscription_count() for publisher in self._watched}
+        self.report(_LINKS, "ok", "listeners of each topic", counts)
+        self._send([_LINKS], None)
+
+    def beat(self, stamp_ns: int | None = None) -> None:
+        """Publish all present statuses again."""
+        if self._present:
+            self._send(list(self._present), stamp_ns)
+
+    def level(self, topic: str) -> str:
+        """Return the present level of `topic`, `ok` if never reported."""
+        return self._present[topic][0] if topic in self._present else "ok"
+
+    def _send(self, topics: list[str], stamp_ns: int | None) -> None:
+        message = DiagnosticArray()
+        if stamp_ns is None:
+            stamp_ns = self._node.get_clock().now().nanoseconds
+        message.header.stamp = stamp_message(stamp_ns)
+        for topic in topics:
+            level, text, values = self._present[topic]
+            message.status.append(
+                DiagnosticStatus(
+                    level=_LEVELS[level],
+                    name=f"{self._name}: {topic}",
+                    message=text,
+                    hardware_id=self.hardware_id,
+                    values=[KeyValue(key=key, value=value) for key, value in values.items()],
+                )
+            )
+        self._publisher.publish(message)
+
+    def _log(self, topic: str, level: str, text: str, *, first: bool) -> None:
+        logger = self._node.get_logger()
+        if level == "error":
+            logger.error(f"{topic}: {text}")
+        elif level == "warn":
+            logger.warning(f"{topic}: {text}")
+        elif not first or topic not in ("input", _LINKS):
+            logger.info(f"{topic}: {text}")

@@ -1,0 +1,163 @@
+"""Start, spin and stop a node the same way in every executable."""
+
+from __future__ import annotations
+
+import faulthandler
+import gc
+import inspect
+import re
+import signal
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Protocol
+
+import rclpy
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from vo2_interface.usage import ARGUMENTS, usage
+
+__all__ = ["RigNode", "StopFlag", "beside_ros_arguments", "fastest_executor", "leave_graph", "run_nodes"]
+
+_SPIN_S = 0.05
+_LEAVE_S = 6.0
+_BAD_FILE = re.compile(r"params file: '--params-file (.*?)'\. Error: (.*?)(?:, at /.*)?$")
+
+
+class StopFlag:
+    """Set by the first SIGINT or SIGTERM; a second one ends the process the ordinary way."""
+
+    def __init__(self) -> None:
+        self.is_set = False
+        self._before = {
+            number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)
+        }
+
+    def set(self) -> None:
+        """End the loop as the first signal does."""
+        self.is_set = True
+
+    def _on_signal(self, number: int, _frame: object) -> None:
+        self.set()
+        for each, before in self._before.items():
+            signal.signal(each, signal.SIG_DFL if each == signal.SIGTERM else before)
+
+
+class RigNode(Protocol):
+    """What `run_nodes` needs beside `rclpy.node.Node`: a last word before the graph is left."""
+
+    def close(self) -> None:
+        """Leave the rig safe and files readable; the node can still publish."""
+
+
+def beside_ros_arguments(line: Sequence[str]) -> list[str]:
+    """Return what stands on a command line (program first) beside the ROS arguments.
+
+    Raises
+    ------
+    ValueError : ROS arguments that cannot be used, such as a parameter file that is not there; one line.
+    """
+    try:
+        return list(remove_ros_args(list(line))[1:])
+    except Exception as error:  # rclpy raises bare RuntimeError subclasses of its C layer here
+        text = " ".join(str(error).split())
+        if found := _BAD_FILE.search(text):
+            path, reason = found.groups()
+            there = Path(path).is_file()
+            why = f"cannot be read as a ROS parameter file ({reason})" if there else "found no such file"
+            raise ValueError(
+                f"--params-file {path}: {why}; give one that `fit` or `identifier` wrote"
+            ) from error
+        raise ValueError(text) from error
+
+
+def fastest_executor(context: rclpy.Context | None = None) -> Executor:
+    """Return the executor with the lowest latency that this rclpy has.
+
+    The events executor is stepped with `spin_once` only: its `spin` was seen to hang in relay
+    processes with rclpy 7.1.6.
+    """
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:
+        return SingleThreadedExecutor(context=context)
+    return EventsExecutor(context=context)
+
+
+def leave_graph(
+    executor: Executor | None, nodes: Iterable[Node], context: rclpy.Context | None = None
+) -> None:
+    """Stop spinning, destroy the nodes, leave the graph: in this order, with everything else already done.
+
+    A process that does not get out within six seconds is ended with status 1, and the threads' stacks are written to
+    standard error. Fast DDS 2.14, seen once in some hundred processes that ended together: to destroy a participant it
+    spins, with Python's lock, until a discovery callback is over, and the callback waits for a mutex that the spinning
+    never leaves long enough.
+    """
+    faulthandler.dump_traceback_later(_LEAVE_S, exit=True, file=sys.__stderr__ or 2)
+    try:
+        # while its nodes are alive: an executor that outlives them destroys what is left of them
+        if executor is not None:
+            executor.shutdown()
+        for node in nodes:
+            node.destroy_node()
+        rclpy.try_shutdown(context=context)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+
+
+def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+    """Compose nodes in one executor, spin until SIGINT or SIGTERM, close them; return the exit status.
+
+    A parameter or argument that cannot be used ends with one line on standard error and status 2.
+    """
+    program = sys.argv[0].rsplit("/", 1)[-1]
+    try:
+        extra = beside_ros_arguments(list(sys.argv if args is None else args))
+    except ValueError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return 2
+    if extra:
+        if set(extra) <= {"-h", "--help"}:
+            print("\n\n".join([*(usage(inspect.getmodule(make)) for make in make_nodes), ARGUMENTS]))
+            return 0
+        print(f"{program}: found {' '.join(extra)}; {ARGUMENTS}", file=sys.stderr)
+        return 2
+    stop = StopFlag()
+    nodes: list[Node] = []
+    executor: Executor | None = None
+    try:
+        rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rclpy raises bare RuntimeError subclasses of its C layer here
+        print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    try:
+        executor = fastest_executor()
+        for make in make_nodes:
+            nodes.append(make())
+            executor.add_node(nodes[-1])
+        # what is loaded by now stays: without this every full collection walks the compiler's objects
+        # and stops the loop for a tenth of a second
+        gc.collect()
+        gc.freeze()
+        # told once, not asked after every sample
+        rclpy.get_default_context().on_shutdown(stop.set)
+        while not stop.is_set:
+            executor.spin_once(timeout_sec=_SPIN_S)
+        return 0
+    except ExternalShutdownException:
+        return 0
+    except ValueError as error:
+        if len(nodes) == len(make_nodes):
+            raise
+        print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    finally:
+        for node in nodes:
+            close = getattr(node, "close", None)
+            if close is not None and rclpy.ok():
+                close()
+        leave_graph(executor, nodes)

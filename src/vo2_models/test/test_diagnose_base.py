@@ -1,0 +1,470 @@
+"""What the base of a diagnosis is built of, against plain references written from the definitions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+from scipy.signal import lfilter
+from vo2_models.device import DeviceModel
+from vo2_models.device.bank import PlayBank
+from vo2_models.device.coefficients import HUGE, Sensor, sensor_index
+from vo2_models.diagnosis.base import Coverage, _block_covariance, coverage, thermal_spread
+from vo2_models.diagnosis.carry import carried, corrected_film
+from vo2_models.diagnosis.decide import Thresholds
+from vo2_models.diagnosis.evidence import QUICKEST, gather
+from vo2_models.diagnosis.explain import Explanation, fit_jointly, score, switched
+from vo2_models.diagnosis.hypotheses import MAGNITUDE_STEP, Hypothesis, hypotheses, windowed
+from vo2_models.diagnosis.locate import breakdown, locate
+from vo2_models.diagnosis.noise import NoiseModel
+from vo2_models.diagnosis.nominal import Nominal, basis_of, rounded_with_noise
+from vo2_models.diagnosis.part import prepare
+from vo2_models.diagnosis.reading import as_commanded, between_samples, current_reading
+from vo2_models.diagnosis.several import _untried
+from vo2_models.diagnosis.side_by_side import side_by_side
+from vo2_models.diagnosis.tangent import Tangent
+from vo2_models.effects import effects
+from vo2_models.identification.digest import CalibrationDigest
+from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
+
+BEHIND = ("terminals", "structure", "sensor")
+"""Stages of effects that the film does not feel."""
+
+
+def _model() -> Nominal:
+    bank = PlayBank([0.5], [0.0], [0.2], [-12.4], [0.2], [-11.0], [-4.7, 0.001])
+    return Nominal.from_parameters(DeviceModel("integrated", resistance=bank).to_parameters())
+
+
+def _blocks() -> tuple[Tangent, np.ndarray]:
+    rng = np.random.default_rng(5)
+    first, second, thermal = rng.normal(size=(6, 3)), rng.normal(size=(5, 2)), rng.normal(size=(13, 2))
+    dense = np.zeros((13, 7))
+    dense[:6, :3], dense[6:11, 3:5], dense[:, 5:] = first, second, thermal
+    return Tangent(((slice(0, 6), first), (slice(6, 11), second)), thermal), dense
+
+
+def test_a_tangent_in_blocks_is_the_dense_matrix() -> None:
+    tangent, dense = _blocks()
+    rng = np.random.default_rng(6)
+    vectors, weights = rng.normal(size=(13, 4)), rng.normal(size=(7, 2))
+    assert tangent.shape == dense.shape
+    assert np.allclose(tangent.gram(), dense.T @ dense)
+    for count in (1, 4, 40):
+        several = rng.normal(size=(13, count))
+        assert np.allclose(tangent.against(several), dense.T @ several)
+    silent = np.where(np.arange(13) < 6, 0.0, vectors[:, 0])
+    for vector in (vectors[:, 0], silent):
+        assert np.allclose(tangent.against(vector), dense.T @ vector)
+    assert np.allclose(tangent.times(weights), dense @ weights)
+    keep = rng.random(13) > 0.4
+    assert np.allclose(tangent.restricted(keep).gram(), (dense * keep[:, None]).T @ (dense * keep[:, None]))
+    rows = slice(6, 11)
+    padded = np.zeros((13, 4))
+    padded[rows] = vectors[rows]
+    assert np.allclose(tangent.against_rows(rows, vectors[rows]), dense.T @ padded)
+    assert np.allclose(tangent.times_rows(rows, weights), (dense @ weights)[rows])
+
+
+def _autocovariance(noise: NoiseModel, size: int) -> np.ndarray:
+    impulse = np.zeros(4000)
+    impulse[0] = noise.innovation
+    h = lfilter([1.0], [1.0, *(-a for a in noise.ar)], impulse)
+    return np.array([h[: h.size - k] @ h[k:] for k in range(size)])
+
+
+@pytest.mark.parametrize("ar", [(), (0.6,), (0.3, 0.4)])
+def test_variance_of_sums_of_coloured_noise(ar) -> None:
+    noise = NoiseModel(0.7, ar)
+    full = toeplitz(_autocovariance(noise, 40))
+    expected = [full[:n, :n].sum() for n in range(41)]
+    assert np.allclose(noise.variance_of_sums(40), expected, rtol=1e-9)
+
+
+def test_covariance_of_block_means_is_that_of_the_series() -> None:
+    noise, count = NoiseModel(0.5, (0.7,)), np.array([3.0, 5.0, 1.0, 4.0])
+    series = toeplitz(_autocovariance(noise, 13))
+    mean = np.zeros((4, 13))
+    for k, (a, b) in enumerate([(0, 3), (3, 8), (8, 9), (9, 13)]):
+        mean[k, a:b] = 1.0 / (b - a)
+    expected = mean @ series @ mean.T
+    banded = _block_covariance(noise, count, band=4)
+    for lag in range(4):
+        assert np.allclose(banded[lag, : 4 - lag], (1 - lag / 4) * np.diag(expected, -lag), rtol=1e-9)
+
+
+def _drive(size: int = 1200) -> np.ndarray:
+    steps = np.repeat(np.random.default_rng(3).uniform(4e-3, 8.4e-3, size // 40), 40)
+    return np.ascontiguousarray(steps)
+
+
+@pytest.mark.parametrize(("name", "parameter"), [("clock_offset", "delay"), ("sensor_lag", "time_constant")])
+def test_a_late_sensor_sees_what_happens_between_samples(name, parameter) -> None:
+    nominal, current, dt, late = _model(), _drive(), 1e-3, 0.4e-3
+    found = nominal.respond(
+        current, dt, effects={f"{name}:film_resistance": {"signal": RESISTANCE, parameter: late}}
+    )
+    parts = 200
+    fine = 10.0 ** nominal.respond(np.repeat(current, parts), dt / parts).channels[RESISTANCE]
+    if name == "clock_offset":
+        exact = np.r_[np.full(80, fine[0]), fine][: fine.size]  # 0.4 ms are 80 fine samples
+    else:
+        keep = np.exp(-dt / parts / late)
+        exact = lfilter([1 - keep], [1, -keep], fine, zi=[keep * fine[0]])[0]
+    exact = np.log10(exact[parts - 1 :: parts])
+    between_samples_only = nominal.respond(current, dt).channels[RESISTANCE]
+    rough = np.interp(np.arange(current.size) - 0.4, np.arange(current.size), between_samples_only)
+    error = np.abs(found.channels[RESISTANCE] - exact)[100:].max()
+    assert error < 0.1 * np.abs(between_samples_only - exact)[100:].max()
+    assert error < 0.5 * np.abs(rough - exact)[100:].max()
+
+
+@pytest.mark.parametrize("name", [e.id for e in effects().values() if "integrated" in e.presets])
+def test_what_acts_behind_the_film_may_share_its_simulation(name) -> None:
+    effect = effects()[name]
+    basis, current, dt = basis_of("integrated"), _drive(), 1e-3
+    rng = np.random.default_rng(2)
+    fold = {
+        c: basis.fold(rng.normal(size=basis.columns), span=s)
+        for c, s in ((RESISTANCE, 1), (TIP_DEFLECTION, 5e-5))
+    }
+    model = replace(
+        _model().model, deflection=PlayBank([2e-5], [0.0], [0.2], [-12.4], [0.2], [-11.0], [1e-5, -2e-7])
+    )
+    nominal = replace(_model(), model=model, corrections=fold)
+    nominal.respond(current, dt, fine=False)
+    drawn = effect.draw("integrated", rng)
+    changes = {effect.id: drawn}
+    shared = nominal.respond(current, dt, effects=changes, fine=False)
+    chain = model.simulation.with_effects(changes)
+    for channel in (RESISTANCE, TIP_DEFLECTION):  # a coarse converter is told by its mean
+        chain.coefficients[sensor_index(channel, Sensor.STEP)] = 0.0
+    alone = carried(chain, corrected_film(chain, chain.run(current, dt=dt), dt, fold), dt)
+    if effect.id != "adc_quantization":
+        assert np.array_equal(shared.channels[RESISTANCE], np.log10(alone[:, 1]))
+        assert np.array_equal(shared.channels[TIP_DEFLECTION], alone[:, 2])
+    behind = effect.stage in BEHIND and drawn.get("signal") != HEATER_CURRENT
+    assert nominal._films.cache_info().hits == behind
+
+
+def test_only_the_last_of_several_steps_is_returned_where_no_more_is_asked_for() -> None:
+    chain, current, dt = _model().model.simulation, _drive(), 1e-3
+    slow = {
+        "sensor_lag": {"signal": RESISTANCE, "time_constant": 3e-3},
+        "creep": {"share": 0.2, "time_constant": 0.05},
+    }
+    chain = chain.with_effects(slow)
+    film = corrected_film(chain, chain.run(current, dt=dt), dt, {})
+    assert np.array_equal(carried(chain, film, dt, every=4), carried(chain, film, dt)[3::4])
+    assert carried(chain, film, dt, every=7).shape == (current.size // 7, 9)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {},
+        {"cantilever_resonance": {"share": 1.0, "frequency": 60.0, "damping": 0.01}},
+        {"creep": {"share": 0.3, "time_constant": 0.1}},
+    ],
+)
+def test_the_tangent_of_the_loop_is_what_a_changed_loop_changes(effects) -> None:
+    model = replace(
+        _model().model, deflection=PlayBank([2e-5], [0.0], [0.2], [-12.4], [0.2], [-11.0], [1e-5, -2e-7])
+    )
+    noise = {RESISTANCE: NoiseModel(1e-3), TIP_DEFLECTION: NoiseModel(1e-8)}
+    nominal, current, dt = replace(_model(), model=model, noise=noise), _drive(), 1e-3
+    shown = nominal.respond(current, dt).channels
+    time = dt * np.arange(current.size)
+    channels = {
+        HEATER_CURRENT: current,
+        RESISTANCE: 10.0 ** shown[RESISTANCE],
+        TIP_DEFLECTION: shown[TIP_DEFLECTION],
+    }
+    parts = [prepare(Recording(time, channels, "integrated"), nominal)]
+    evidence = gather(nominal, parts, effects=effects)
+    for place, channel in enumerate((RESISTANCE, TIP_DEFLECTION)):
+        shape, loop = evidence.shapes[channel], evidence.loops[channel]
+        moved = replace(shape, mean=shape.mean + 0.1 * loop.directions[:, -1])
+        changed = gather(
+            nominal, parts, effects=effects, shapes={**evidence.shapes, channel: moved}, loops=evidence.loops
+        )
+        rows, block = evidence.base.blocks[place]
+        change = evidence.residual[rows] - changed.residual[rows]
+        assert np.linalg.norm(change - 0.1 * block[:, -1]) < 0.01 * np.linalg.norm(change)
+
+
+def test_switching_times_are_found_by_search() -> None:
+    nominal, current, dt = _model(), _drive(3000), 1e-3
+    nominal = replace(nominal, noise={RESISTANCE: NoiseModel(1e-3)})
+    laser = {"rise": 0.8, "start": 0.731, "stop": 1.862}
+    shown = nominal.respond(current, dt, effects={"laser_heating": laser}).channels[RESISTANCE]
+    shown = shown + 1e-3 * np.random.default_rng(1).normal(size=shown.size)
+    recording = Recording(
+        dt * np.arange(current.size), {HEATER_CURRENT: current, RESISTANCE: 10.0**shown}, "integrated"
+    )
+    evidence = gather(nominal, [prepare(recording, nominal)])
+    hypothesis = Hypothesis(effects()["laser_heating"], "", (), {"rise": 0.1, "start": 0.01, "stop": 0.01})
+    start = {"rise": 2.0, "start": 0.5, "stop": 2.2}
+    found = switched(evidence, hypothesis, start, evidence.residual)
+    assert abs(found["start"] - 0.731) < 0.02  # from 0.23 and 0.34 s off
+    assert abs(found["stop"] - 1.862) < 0.02  # from 0.23 and 0.34 s off
+    assert 0.4 < found["rise"] < 1.2
+
+
+def test_no_residual_makes_the_device_much_quicker_than_it_was() -> None:
+    evidence = _changed({})
+    moved = evidence.moved(np.full(len(evidence.names), -1e3))
+    values, _ = thermal_spread(evidence.nominal.model)
+    assert moved["thermal.time_constant"] == QUICKEST * values["thermal.time_constant"]
+
+
+def test_what_stays_on_is_never_switched_off() -> None:
+    evidence = _changed({"laser_heating": {"rise": 0.8, "start": 0.731}})
+    hypothesis = Hypothesis(
+        effects()["laser_heating"], "", ({"rise": 0.2},), {"rise": 0.1, "start": 0.01, "stop": 0.01}
+    )
+    found = switched(evidence, hypothesis, {"rise": 2.0, "start": 0.5, "stop": HUGE}, evidence.residual)
+    assert abs(found["start"] - 0.731) < 0.02
+    assert 0.4 < found["rise"] < 1.2  # the size is found, the time is not multiplied with it
+    assert found["stop"] == HUGE
+
+
+def test_when_it_was_on_is_asked_of_the_residual_at_hand() -> None:
+    """What one effect leaves over may tell other times than the whole residual did."""
+    early = _changed({"laser_heating": {"rise": 0.8, "start": 0.4, "stop": 1.1}})
+    late = _changed({"laser_heating": {"rise": 0.8, "start": 1.9, "stop": 2.6}})
+    left = [e.left(e.residual) for e in (early, late)]
+    before = next(h for h in hypotheses(early, "integrated", left[0]) if h.record.id == "laser_heating")
+    after = windowed(late, before, left[1])
+    for hypothesis, start, stop in ((before, 0.4, 1.1), (after, 1.9, 2.6)):
+        windows = {(s["start"], s["stop"]) for s in hypothesis.starts if "start" in s}
+        assert any(abs(on - start) < 0.3 and abs(off - stop) < 0.3 for on, off in windows)
+    assert not any(s.get("stop", HUGE) < 1.5 for s in after.starts)
+    other = next(h for h in hypotheses(early, "integrated", left[0]) if h.record.id == "transition_kinetics")
+    assert windowed(late, other, left[1]) is other
+
+
+def _changed(changes: dict[str, dict[str, float | str]], size: int = 3000, ar: tuple[float, ...] = ()):
+    """The problem of a device on which effects act, taken to have noise of one colour in the resistance."""
+    nominal, current, dt = replace(_model(), noise={RESISTANCE: NoiseModel(1e-3, ar)}), _drive(size), 1e-3
+    shown = nominal.respond(current, dt, effects=changes).channels[RESISTANCE]
+    shown = shown + 1e-3 * np.random.default_rng(1).normal(size=size)
+    time = dt * np.arange(size)
+    recording = Recording(time, {HEATER_CURRENT: current, RESISTANCE: 10.0**shown}, "integrated")
+    return gather(nominal, [prepare(recording, nominal)])
+
+
+def test_a_refit_ends_where_no_small_change_fits_better() -> None:
+    kinetics = {"transition_kinetics": {"time_constant": 4e-3}, "nonlinear_heat_loss": {"share": 0.1}}
+    evidence = _changed(kinetics)
+    both = [
+        Hypothesis(effects()["transition_kinetics"], "", ({"time_constant": 1e-3},), {"time_constant": 2e-4}),
+        Hypothesis(effects()["nonlinear_heat_loss"], "", ({"share": 0.02},), {"share": 0.005}),
+    ]
+    found = fit_jointly(evidence, both, [h.starts[0] for h in both])
+    assert found.values[0]["time_constant"] == pytest.approx(4e-3, rel=0.05)
+
+    def q(values) -> float:
+        merged = {h.key: h.effects(v)[h.key] for h, v in zip(both, values, strict=True)}
+        change = evidence.deviation(merged, found.shift)
+        return evidence.chi_square(evidence.residual - change)
+
+    assert q(found.values) == pytest.approx(found.chi_square, rel=1e-9)
+    for index, name, step in ((0, "time_constant", 2e-4), (1, "share", 0.005)):
+        for sign in (-1.0, 1.0):
+            moved = [dict(v) for v in found.values]
+            moved[index][name] += sign * step
+            assert q(moved) > found.chi_square - 0.3
+
+
+def test_a_bound_stops_one_effect_and_not_the_other() -> None:
+    """A heater that gains with temperature looks like a loss of negative size, which there is not."""
+    evidence = _changed({"transition_kinetics": {"time_constant": 4e-3}, "heater_tcr": {"alpha": 1e-3}})
+    both = [
+        Hypothesis(effects()["nonlinear_heat_loss"], "", ({"share": 0.02},), {"share": 0.005}),
+        Hypothesis(effects()["transition_kinetics"], "", ({"time_constant": 1e-3},), {"time_constant": 2e-4}),
+    ]
+    found = fit_jointly(evidence, both, [h.starts[0] for h in both])
+    alone = fit_jointly(evidence, both[1:], [both[1].starts[0]])
+    assert found.values[0]["share"] == 0.0
+    assert found.values[1]["time_constant"] == pytest.approx(alone.values[0]["time_constant"], rel=0.02)
+
+
+def test_on_a_short_recording_nothing_is_tried_that_is_not_physical() -> None:
+    """In a fifth of a second a drift that bends visibly would bend faster than the catalogue allows."""
+    evidence = _changed({"ambient_drift": {"rate": 0.5}}, size=200)
+    left = evidence.left(evidence.residual)
+    drifts = [h for h in hypotheses(evidence, "integrated", left) if h.record.id == "ambient_drift"]
+    assert drifts[0].scales["curvature"] / MAGNITUDE_STEP > drifts[0].bounds("curvature")[1]
+    found = score(evidence, drifts, evidence.residual)
+    assert 0 < abs(found[0].start["curvature"]) <= drifts[0].bounds("curvature")[1]
+
+
+def test_a_place_is_told_by_the_change_over_the_noise_power() -> None:
+    """Slow noise must not hide that a slow change is in a channel: its innovations would tell less of it."""
+    evidence = _changed({}, ar=(0.9,))
+    warmer = {"laser_heating": {"rise": 0.5}}
+    found = breakdown(evidence, evidence.deviation(warmer), floor=0.0)
+    plain = (
+        evidence.responses(warmer)[0].channels[RESISTANCE]
+        - evidence.nominal_responses[0].channels[RESISTANCE]
+    )
+    level = 1e-3 / np.sqrt(1 - 0.9**2)
+    counts = evidence.weight > 0
+    assert found[0].excess == pytest.approx(np.sum((plain[counts] / level) ** 2), rel=1e-6)
+
+
+def test_a_branch_is_told_by_its_energy_per_sample() -> None:
+    """Three times as long on one branch, or settling at its end, makes it no place."""
+    nominal, dt = replace(_model(), noise={RESISTANCE: NoiseModel(1e-3)}), 1e-3
+    up, down = np.linspace(4e-3, 8.4e-3, 1500), np.linspace(8.4e-3, 4e-3, 500)
+    current = np.concatenate([np.full(100, 4e-3), up, down, np.full(900, 4e-3)])
+    shown = nominal.respond(current, dt)
+    recording = Recording(
+        dt * np.arange(current.size),
+        {HEATER_CURRENT: current, RESISTANCE: 10.0 ** shown.channels[RESISTANCE]},
+        "integrated",
+    )
+    evidence = gather(nominal, [prepare(recording, nominal)])
+    rate = np.gradient(shown.temperature)
+    counts = evidence.weight > 0
+    for change, place in (
+        (np.ones(rate.size), "both"),
+        (np.where(rate > 0, 1.0, 0.3), "heating"),
+        (np.where(rate > 0, 0.3, 1.0), "cooling"),  # less energy while cooling than while heating, all in all
+    ):
+        found = locate(evidence, breakdown(evidence, change * counts, floor=0.0))
+        assert found[0].branch == place
+
+
+@pytest.mark.parametrize("ar", [(), (0.9,)])
+def test_noise_alone_has_no_excess_anywhere(ar) -> None:
+    evidence = _changed({}, ar=ar)
+    found = breakdown(evidence, np.random.default_rng(7).normal(size=evidence.weight.size))
+    assert abs(found[0].excess) < 0.3 * found[0].floor
+    twice = breakdown(evidence, 2 * np.random.default_rng(7).normal(size=evidence.weight.size))
+    assert twice[0].excess == pytest.approx(3 * found[0].floor, rel=0.4)
+
+
+def test_side_by_side_keeps_the_order_and_raises() -> None:
+    assert side_by_side(lambda x: x**2, range(20)) == [x**2 for x in range(20)]
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(lambda x: 1 / x, [2, 1, 0])
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 1.0])
+def test_rounding_under_noise_is_its_mean(share) -> None:
+    rng = np.random.default_rng(3)
+    values, step = rng.uniform(-3.0, 3.0, 200), 0.7
+    drawn = values + share * step * rng.standard_normal((40_000, 200))
+    mean = np.mean(step * np.rint(drawn / step), axis=0)
+    assert rounded_with_noise(values, step, np.full(200, share * step)) == pytest.approx(
+        mean, abs=0.025 * step
+    )
+
+
+def test_rounding_without_noise_is_a_staircase() -> None:
+    values = np.linspace(-2.0, 2.0, 401)
+    away = np.abs(np.abs(values / 0.5 - np.floor(values / 0.5)) - 0.5) > 0.1
+    found = rounded_with_noise(values, 0.5, np.zeros(401))
+    assert found[away] == pytest.approx(0.5 * np.rint(values / 0.5)[away], abs=0.005)
+
+
+def test_a_rest_is_covered_and_the_way_from_it_is_not() -> None:
+    temperature = np.array([22.0, 22.0, 40.0, 60.5, 60.5])
+    count = np.array([60.0, 3.0, 200.0, 50.0])
+    digest = CalibrationDigest(temperature, count, np.zeros(4), np.zeros(4))
+    found = coverage(replace(_model(), digest=digest))
+    assert found.holds(np.array([10.0, 22.0, 22.9, 30.0, 41.0, 60.9, 61.1])).tolist() == [
+        *(False, True, True, False, True, True, False)
+    ]
+    assert str(found) == "22 to 23, 40 to 61 degC"
+    everywhere = coverage(_model())
+    assert isinstance(everywhere, Coverage) and everywhere.holds(np.array([-300.0, 1e4])).all()
+
+
+def test_what_takes_longer_than_the_recording_is_no_creep() -> None:
+    evidence = _changed({})
+    found = {h.record.id: h for h in hypotheses(evidence, "integrated", evidence.left(evidence.residual))}
+    mode = found["second_thermal_mode"]
+    assert mode.bounds("time_constant")[1] == pytest.approx(3 * 3000 * 1e-3)
+    assert mode.ends("time_constant", 9.0) and not mode.ends("time_constant", 8.0)
+    assert found["transition_kinetics"].bounds("time_constant")[1] > 9.0  # its size, not its shape
+    assert found["series_resistance"].bounds("resistance")[0] == 0.0
+
+
+def test_partners_that_nearly_reach_the_best_pair_are_tried_too() -> None:
+    def pair(names: tuple[str, str], q: float) -> Explanation:
+        made = tuple(Hypothesis(effects()[name], "", ({},), {}) for name in names)
+        none = np.zeros(0)
+        return Explanation(made, ({}, {}), q, 0.0, none, (), none, np.zeros((0, 0)), (), none)
+
+    # the best leaves 1000: a quarter of it, and 5 sigma, is near
+    qs = {"latent_heat": 2000.0, "dead_time": 2200.0, "heater_tcr": 2400.0}
+    found = [pair(("creep", other), q) for other, q in qs.items()]
+    assert list(_untried(found, 1000, Thresholds())) == ["creep", "latent_heat", "dead_time"]
+    assert _untried([], 1000, Thresholds()) == {}
+
+
+def test_what_is_faster_than_the_samples_is_no_resonance() -> None:
+    record = effects()["cantilever_resonance"]
+    start = {"share": 1.0, "frequency": 400.0, "damping": 0.02}
+    mode = Hypothesis(record, "", (start,), dict.fromkeys(start, 0.02), fastest=500.0)
+    assert mode.bounds("frequency") == (1e-3, 500.0)
+    assert mode.bounds("damping") == (1e-4, 1.0)
+
+
+def test_the_digest_keeps_how_the_model_changes_with_its_lags() -> None:
+    rng = np.random.default_rng(8)
+    lags = {"thermal.time_constant": rng.normal(size=(3, 2)), "driver.dead_time": rng.normal(size=(3, 2))}
+    digest = CalibrationDigest(
+        np.arange(4.0), np.full(3, 5.0), np.zeros(3), np.zeros(3), by_lag=lags,
+        noise_current=(2e-6, 0.3), current_reading=(3e-5, 1.04),
+    )  # fmt: skip
+    again = CalibrationDigest.from_parameters(digest.to_parameters())
+    assert again is not None and again.by_lag.keys() == lags.keys()
+    assert (again.noise_current, again.current_reading) == (digest.noise_current, digest.current_reading)
+    for name, values in lags.items():
+        np.testing.assert_allclose(again.by_lag[name], values, rtol=1e-3)
+    for wrong in ((1.0,), (0.0, 0.0)):
+        with pytest.raises(ValueError, match=r"current_reading: found .* an offset and a gain"):
+            replace(digest, current_reading=wrong)
+    with pytest.raises(ValueError, match=r"thermal\.time_constant: found shape"):
+        replace(digest, by_lag={"thermal.time_constant": np.zeros((2, 2))})
+
+
+def _read_back(line: tuple[float, float], noise: float) -> Recording:
+    """A command of a thousand steps, and a reading of its own with offset, gain and noise."""
+    rng = np.random.default_rng(12)
+    command = np.repeat(rng.uniform(4e-3, 8.4e-3, 250), 4)
+    reading = line[0] + line[1] * command + noise * rng.normal(size=command.size)
+    channels = {HEATER_CURRENT: reading, COMMANDED_CURRENT: command}
+    return Recording(1e-3 * np.arange(command.size), channels, "integrated")
+
+
+def test_a_current_reading_has_an_offset_a_gain_and_noise() -> None:
+    recording = _read_back((3e-5, 1.04), 2e-6)
+    line, noise = current_reading(recording)
+    assert line == pytest.approx((3e-5, 1.04), rel=0.02)
+    assert noise[0] == pytest.approx(2e-6 / 1.04, rel=0.1)
+    found = as_commanded(recording[HEATER_CURRENT], line) - recording[COMMANDED_CURRENT]
+    assert np.std(found) == pytest.approx(2e-6 / 1.04, rel=0.1)
+    assert abs(np.mean(found)) < 2e-7
+
+
+def test_a_log_that_repeats_the_command_is_no_reading() -> None:
+    assert current_reading(_read_back((0.0, 1.0), 0.0)) == ((), ())
+    plain = _read_back((0.0, 1.0), 2e-6)
+    alone = {HEATER_CURRENT: plain[HEATER_CURRENT]}
+    assert current_reading(Recording(plain.time_s, alone, "integrated")) == ((), ())
+    values = plain[HEATER_CURRENT]
+    assert as_commanded(values, ()) is values
+
+
+def test_a_loose_wire_is_no_reading() -> None:
+    assert current_reading(_read_back((0.0, 0.0), 2e-6)) == ((), ())
+
+
+def test_a_reading_is_not_trusted_within_a_step() -> None:
+    found = between_samples(np.array([1.0, 1.002, 1.0, 1.5, 1.5]), 1e-3)
+    assert found == pytest.approx([0.0, 0.0, 0.0, 0.5 * (0.5 - 3e-3), 0.0])

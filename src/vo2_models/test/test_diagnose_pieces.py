@@ -1,0 +1,221 @@
+"""Pieces of the diagnosis: file format, noise, data check, comb detection, excitations."""
+
+import copy
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from vo2_models.device import DeviceModel, preset
+from vo2_models.device.bank import PlayBank
+from vo2_models.diagnosis.check import Unusable, check_recording
+from vo2_models.diagnosis.decide import probabilities
+from vo2_models.diagnosis.locate import one_loop, turning_points
+from vo2_models.diagnosis.next_experiment import library
+from vo2_models.diagnosis.noise import NoiseModel, fit_noise, level_from_differences
+from vo2_models.diagnosis.nominal import Nominal
+from vo2_models.diagnosis.part import regular, value_step
+from vo2_models.diagnosis.result import SCHEMA, validate
+from vo2_models.recording import Recording
+
+ANSWER = {
+    "schema": SCHEMA,
+    "verdict": "differs",
+    "location": [
+        {
+            "signal": "film_resistance",
+            "share": 1.0,
+            "time_s": [[0.0, 1.0]],
+            "branch": "both",
+            "temperature_degC": None,
+            "temperature_surrogate_a": [0.0, 0.01],
+            "frequency_hz": [0.0, 10.0],
+        }
+    ],
+    "effects": [
+        {
+            "id": "creep",
+            "probability": 0.9,
+            "statement": "words",
+            "equation": "y = x",
+            "parameters": {"share": {"value": 0.1, "std": 0.01, "unit": "1"}},
+        }
+    ],
+    "candidates": [{"id": "creep", "probability": 0.9, "held_out_nrmse": {"film_resistance": 0.1}}],
+    "fit": {"film_resistance": {"nrmse_before": 0.2, "nrmse_after": 0.1, "noise_floor": 0.1}},
+    "indistinguishable": [],
+    "next_experiment": None,
+}
+
+
+def model() -> Nominal:
+    bank = PlayBank([0.5], [0.0], [0.2], [-12.4], [0.2], [-11.0], [-4.7, 0.001])
+    return Nominal.from_parameters(DeviceModel("integrated", resistance=bank).to_parameters())
+
+
+def recording(**changes) -> Recording:
+    time = np.arange(2000) * 1e-3
+    current = 6e-3 + 2e-3 * np.sin(2 * np.pi * 2 * time)
+    values = {
+        "heater_current": current,
+        "film_resistance": 1e5 * np.exp(-300 * (current - 4e-3)),
+        "tip_deflection": 1e-5 + 5e-3 * current,
+    }
+    device = changes.pop("device", "integrated")
+    time = changes.pop("time_s", time)
+    return Recording(time, {**values, **changes}, device)
+
+
+def test_a_valid_answer_passes() -> None:
+    validate(ANSWER)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        (("verdict",), "perhaps", "verdict"),
+        (("verdict",), "agrees", "effects"),
+        (("location", 0, "share"), 1.4, "share"),
+        (("effects", 0, "probability"), -0.1, "probability"),
+        (("effects", 0, "parameters", "share", "std"), -1.0, "std"),
+        (("candidates", 0, "probability"), 1.5, "probabilities"),
+        (("fit", "film_resistance", "nrmse_after"), float("nan"), "nrmse_after"),
+        (("schema",), "vo2-diagnosis/2", "schema"),
+    ],
+)
+def test_a_broken_answer_is_refused_by_name(path, value, words) -> None:
+    broken = copy.deepcopy(ANSWER)
+    place = broken
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    with pytest.raises(ValueError, match=words):
+        validate(broken)
+
+
+@pytest.mark.parametrize("ar", [(), (0.6,), (0.9,), (0.5, 0.3)])
+def test_whitening_gives_unit_innovations_and_is_undone(ar) -> None:
+    rng = np.random.default_rng(5)
+    noise = NoiseModel(0.3, ar)
+    x = lfilter([0.3], [1.0, *(-a for a in ar)], rng.standard_normal(30_000))[10_000:]
+    white = noise.whiten(x)
+    assert np.std(white) == pytest.approx(1.0, abs=0.03)
+    assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.03
+    np.testing.assert_allclose(noise.color(white), x, atol=1e-10)
+    assert noise.level == pytest.approx(np.std(x), rel=0.08)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_level_and_colour_are_found(rho) -> None:
+    e = np.random.default_rng(1).standard_normal(20_000)
+    found = fit_noise(lfilter([1.0], [1.0, -rho], e))
+    assert found.innovation == pytest.approx(1.0, rel=0.03)
+    assert sum(found.ar) == pytest.approx(rho, abs=0.04)
+
+
+def test_level_is_seen_through_a_moving_signal() -> None:
+    t = np.linspace(0, 10, 5000)
+    x = 50 * np.sin(t) + 0.1 * np.random.default_rng(0).standard_normal(t.size)
+    assert level_from_differences(x) == pytest.approx(0.1, rel=0.1)
+
+
+def test_a_good_recording_passes_the_check() -> None:
+    assert [f.kind for f in check_recording(recording(), model())] == []
+
+
+def test_a_rig_may_call_itself_what_it_likes() -> None:
+    assert check_recording(recording(device="bench_3"), model()) == []
+
+
+def test_what_is_unusable_is_refused_with_the_reason() -> None:
+    time = np.arange(2000) * 1e-3
+    rng = np.random.default_rng(0)
+    flat = np.full(2000, 5e-3)
+    cases = {
+        "was recorded on device 'peltier'": recording(device="peltier"),
+        "constant": recording(heater_current=flat),
+        "check the unit": recording(heater_current=recording()["heater_current"] * 1e3),
+        "clock": recording(time_s=np.cumsum(rng.uniform(0.2e-3, 3e-3, 2000))),
+        "sample period": recording(time_s=time * 1e4),
+        "mostly noise": recording(
+            film_resistance=6e4 * np.exp(0.3 * rng.standard_normal(2000)),
+            tip_deflection=2e-5 + 2e-6 * rng.standard_normal(2000),
+        ),
+        "is it in kohm": recording(film_resistance=1e-3 * recording()["film_resistance"]),
+        "is it in um": recording(tip_deflection=1e6 * recording()["tip_deflection"]),
+        "is constant": recording(film_resistance=np.full(2000, 1e5), tip_deflection=np.full(2000, 1e-5)),
+        "missing from": recording(
+            film_resistance=np.full(2000, np.nan), tip_deflection=np.full(2000, np.nan)
+        ),
+        "end value": recording(
+            film_resistance=np.minimum(recording()["film_resistance"], 5e4),
+            tip_deflection=np.full(2000, 1e-5),
+        ),
+        "need at least 500": recording().slice(0, 300),
+    }
+    for words, bad in cases.items():
+        with pytest.raises(Unusable, match=words):
+            check_recording(bad, model())
+
+
+def test_gaps_are_limits_and_become_missing_samples() -> None:
+    whole = recording()
+    keep = np.ones(2000, dtype=bool)
+    keep[700:760] = False
+    gappy = Recording(whole.time_s[keep], {k: v[keep] for k, v in whole.channels.items()}, whole.device)
+    assert "gap" in [f.kind for f in check_recording(gappy, model())]
+    filled = regular(gappy)
+    assert len(filled) == 2000
+    assert np.flatnonzero(np.isnan(filled["film_resistance"])).tolist() == list(range(700, 760))
+
+
+def test_combs_are_told_from_plain_values() -> None:
+    x = np.random.default_rng(2).uniform(0, 50, 5000)
+    assert value_step(x) == 0.0
+    assert value_step(0.7 * np.round(x / 0.7)) == pytest.approx(0.7)
+    assert value_step(np.full(5000, 3.0)) == 0.0
+
+
+def test_turning_points_are_wiped_out_by_larger_ones() -> None:
+    path = np.array([0.0, 10.0, 4.0, 6.0, 5.0, 11.0, 3.0])
+    last, before = turning_points(np.interp(np.linspace(0, 6, 601), np.arange(7), path))
+    assert last[350] == pytest.approx(6.0) and before[350] == pytest.approx(4.0)
+    assert last[-1] == pytest.approx(11.0) and before[-1] == pytest.approx(0.0)
+
+
+def _up_and_down(size: int) -> np.ndarray:
+    return np.concatenate([np.full(20, 25.0), np.linspace(25, 80, size), np.linspace(80, 25, size)])
+
+
+def test_equal_loops_are_one_loop() -> None:
+    slow = _up_and_down(500)
+    assert one_loop([slow], [1e-3])
+    assert one_loop([np.tile(slow, 4)], [1e-3])
+    assert one_loop([slow, slow + 0.3], [1e-3, 1e-3])
+    assert one_loop([np.full(600, 25.0)], [1e-3])
+
+
+def test_another_rate_or_smaller_loops_are_more_than_one() -> None:
+    slow, fast = _up_and_down(500), _up_and_down(100)
+    assert not one_loop([slow, fast], [1e-3, 1e-3])
+    assert not one_loop([slow, slow], [1e-3, 1e-4])
+    assert not one_loop([np.concatenate([slow, fast])], [1e-3])
+    fan = [np.linspace(a, b, 100) for turn in (45, 50, 55, 60) for a, b in ((80, turn), (turn, 80))]
+    assert not one_loop([np.concatenate([slow, np.linspace(25, 80, 500), *fan])], [1e-3])
+
+
+def test_probabilities_order_rivals_and_sum_to_one() -> None:
+    p = probabilities([100.0, 110.0, 400.0], [1, 1, 1], count=1000, temper=4.0)
+    assert np.sum(p) == pytest.approx(1.0)
+    assert p[0] > p[1] > p[2]
+    cheaper, dearer = probabilities([100.0, 100.0], [1, 3], count=1000, temper=1.0)
+    assert cheaper > dearer
+
+
+@pytest.mark.parametrize("device", ["integrated", "peltier"])
+def test_proposed_excitations_stay_within_the_operating_range(device) -> None:
+    nominal = preset(device)
+    low, high = sorted(nominal.operating_range)
+    for excitable in library(device, nominal.sample_period):
+        current = excitable.current(nominal.sample_period, nominal.operating_range[0])
+        assert low - 1e-9 <= current.min() and current.max() <= high + 1e-9, excitable.name
+        assert 2000 < current.size < 12_000, (excitable.name, current.size)

@@ -1,0 +1,219 @@
+"""What the base may absorb: the loop shape as far as the calibration left it open, and the heat's parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, cholesky_banded, solve_banded, solve_triangular
+
+from vo2_models.device import DeviceModel
+from vo2_models.diagnosis.noise import NoiseModel
+from vo2_models.diagnosis.nominal import Nominal, basis_of
+from vo2_models.diagnosis.side_by_side import side_by_side
+from vo2_models.identification.enrichment import Correction, EnrichmentBasis
+from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
+
+__all__ = ["Coverage", "LoopShape", "coverage", "loop_shapes", "thermal_spread"]
+
+Floats = NDArray[np.float64]
+DOMAINS = (1e3, 4e3, 1.6e4, 1e6)
+"""Numbers of domains whose scatter is tried; the calibration chooses."""
+ROUGHNESS = (0.0, 1.0, 3.0)
+"""Misfit of a block beyond what the basis resolves, in units of the noise; the calibration chooses."""
+
+
+@dataclass(frozen=True)
+class LoopShape:
+    """Posterior of the loop-shape correction of one channel: mean + L^-T z, z unit normal.
+
+    Attributes
+    ----------
+    basis : with the number of domains that the calibration chose
+    span : range of the channel
+    mean : (m,) weights
+    factor : (m, m) lower Cholesky factor of the posterior precision
+    rough : misfit that remains at single temperatures, in the channel's unit
+    by_lag : time constant or dead time -> (m,) change of the mean by it [1/s]: the calibration fixes loop and lag together
+    """
+
+    basis: EnrichmentBasis
+    span: float
+    mean: Floats
+    factor: Floats
+    rough: float
+    by_lag: Mapping[str, Floats] = field(default_factory=dict)
+
+    def fold(self, moved: Mapping[str, float] | None = None) -> Correction:
+        """The mean correction, as a function of the temperature, for lags that are longer than the model's by `moved` [s]."""
+        mean = self.mean + sum(self.by_lag[n] * by for n, by in (moved or {}).items() if n in self.by_lag)
+        return self.basis.fold(np.asarray(mean), span=self.span)
+
+    def spread(self, directions: Floats) -> Floats:
+        """Weights (m, k) that unit-normal directions (m, k) of what the calibration leaves open stand for."""
+        return np.asarray(
+            solve_triangular(self.factor, directions, lower=True, trans="T", check_finite=False)
+        )
+
+    def whitened(self, gram: Floats) -> Floats:
+        """Gram matrix (m, m) of the unit-normal columns, from that of the features: L^-1 G L^-T."""
+        half = solve_triangular(self.factor, gram, lower=True, check_finite=False)
+        return np.asarray(solve_triangular(self.factor, half.T, lower=True, check_finite=False))
+
+    def rough_at(self, temperature: Floats) -> Floats:
+        """Misfit level (n,) at a temperature: `rough` inside the transition, none outside."""
+        low, high = self.basis.centre_degc
+        return np.where((temperature > low) & (temperature < high), self.rough, 0.0)
+
+
+def loop_shapes(nominal: Nominal) -> dict[str, LoopShape]:
+    """Posterior of the loop shape of resistance and deflection, from the digest of the calibration.
+
+    The number of domains and the roughness are those of highest marginal likelihood. Without a digest the
+    prior alone stands, which forgives ten per cent of the loop's shape.
+    """
+    laws = {RESISTANCE: nominal.model.resistance.present, TIP_DEFLECTION: nominal.model.deflection.present}
+    present = [channel for channel, known in laws.items() if known]
+    return dict(
+        zip(present, side_by_side(lambda channel: _loop_shape(nominal, channel), present), strict=True)
+    )
+
+
+def _loop_shape(nominal: Nominal, channel: str) -> LoopShape:
+    """Posterior of one channel, by conjugate Gaussian regression on the digest, whose blocks have correlated noise."""
+    basis, span = basis_of(nominal.device), nominal.span[channel]
+    digest = nominal.digest
+    if digest is None:
+        return LoopShape(basis, span, np.zeros(basis.columns), np.eye(basis.columns), 0.0)
+    noise = nominal.noise[channel]
+    target = digest.log_resistance if channel == RESISTANCE else digest.deflection
+    features = digest.features(basis, span=span)
+    # with another lag the model would have left another residual
+    lags = [-values[:, 0 if channel == RESISTANCE else 1] for values in digest.by_lag.values()]
+    covariance = _block_covariance(noise, digest.count)
+    covariance[0, digest.count <= 0.0] = 1e8 * noise.level**2
+    middle = 0.5 * (digest.temperature[1:] + digest.temperature[:-1])
+    inside = (middle > basis.centre_degc[0]) & (middle < basis.centre_degc[1])
+    best: tuple[float, LoopShape] | None = None
+    for roughness in ROUGHNESS:
+        spread = covariance.copy()
+        spread[0] += np.where(inside, (roughness * noise.level) ** 2, 0.0)
+        root = cholesky_banded(spread, lower=True)
+        weighted = solve_banded((root.shape[0] - 1, 0), root, np.column_stack([features, target, *lags]))
+        weighted, aim, others = np.split(weighted, [basis.columns, basis.columns + 1], axis=1)
+        aim = aim[:, 0]
+        gram, right, right_others = weighted.T @ weighted, weighted.T @ aim, weighted.T @ others
+        energy = float(aim @ aim + 2.0 * np.sum(np.log(root[0])))
+        for domains in DOMAINS:
+            scale = np.ones(basis.columns)
+            scale[basis.groups["scatter"]] = np.sqrt(basis.domains / domains)
+            precision = gram * np.outer(scale, scale)
+            precision[np.diag_indices_from(precision)] += 1.0
+            factor = cholesky(precision, lower=True, check_finite=False)
+            half = solve_triangular(factor, scale * right, lower=True, check_finite=False)
+            score = -0.5 * (energy - half @ half) - float(np.sum(np.log(np.diag(factor))))
+            if best is None or score > best[0]:
+                mean = solve_triangular(factor, half, lower=True, trans="T", check_finite=False)
+                half = solve_triangular(factor, scale[:, None] * right_others, lower=True, check_finite=False)
+                means = solve_triangular(factor, half, lower=True, trans="T", check_finite=False)
+                shape = LoopShape(
+                    replace(basis, domains=domains), span, mean, factor, roughness * noise.level,
+                    dict(zip(digest.by_lag, means.T, strict=True)),
+                )  # fmt: skip
+                best = (score, shape)
+    assert best is not None
+    return best[1]
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Temperatures at which the calibration has been, kelvin by kelvin.
+
+    Attributes
+    ----------
+    edges : (m + 1,) of the kelvins [degC]
+    enough : (m,) whether the calibration has been there for some samples
+    """
+
+    edges: Floats
+    enough: NDArray[np.bool_]
+
+    def holds(self, temperature: Floats) -> NDArray[np.bool_]:
+        """Whether temperatures (n,) [degC] are covered."""
+        place = np.searchsorted(self.edges, temperature, side="right") - 1
+        return np.concatenate([[False], self.enough, [False]])[place + 1]
+
+    def __str__(self) -> str:
+        """The stretches that are covered, in words."""
+        turns = np.flatnonzero(np.diff(np.concatenate([[False], self.enough, [False]]).astype(int)))
+        ends = self.edges[turns].reshape(-1, 2)
+        return ", ".join(f"{low:.0f} to {high:.0f}" for low, high in ends) + " degC"
+
+
+def coverage(nominal: Nominal, *, samples: float = 8.0) -> Coverage:
+    """Kelvins in which the calibration has `samples` samples.
+
+    Elsewhere, on the way from a cold rest for instance, the fitted loops are a guess, and a recording that differs there
+    says nothing about the device. The rest itself says much: no current, no heat. Everything is covered where the
+    model file has no digest.
+    """
+    digest = nominal.digest
+    if digest is None:
+        return Coverage(np.array([-np.inf, np.inf]), np.ones(1, dtype=bool))
+    low = np.minimum(digest.temperature[1:], digest.temperature[:-1])
+    high = np.maximum(digest.temperature[1:], digest.temperature[:-1])
+    edges = np.arange(np.floor(low.min()), np.ceil(high.max()) + 1.0)
+    high = np.maximum(high, low + 1e-6)  # at rest
+    # a block's samples, spread evenly over its temperatures
+    shares = np.minimum(high[:, None], edges[1:]) - np.maximum(low[:, None], edges[:-1])
+    shares = np.maximum(shares, 0.0) / (high - low)[:, None]
+    return Coverage(edges, digest.count @ shares >= samples)
+
+
+def _block_covariance(noise: NoiseModel, count: Floats, *, band: int = 12) -> Floats:
+    """Covariance of the means of successive blocks, lower banded (band, n), for noise of one colour.
+
+    With V(m) the variance of the sum of m neighbours, sums over [a, b) and [c, d) have the covariance
+    (V(d - a) - V(c - a) - V(d - b) + V(c - b)) / 2.
+    """
+    # whole samples, so that it is the covariance of a series; tapered, so that its band alone is one too
+    ends = np.concatenate([[0], np.cumsum(np.maximum(np.rint(count), 1.0))]).astype(np.intp)
+    known = noise.variance_of_sums(int(np.max(ends[band:] - ends[:-band] if ends.size > band else ends)))
+    out = np.zeros((band, count.size))
+    for lag in range(min(band, count.size)):
+        a, b = ends[: count.size - lag], ends[1 : count.size - lag + 1]
+        c, d = ends[lag : count.size], ends[lag + 1 :]
+        v = [known[np.abs(x)] for x in (d - a, c - a, d - b, c - b)]
+        taper = 0.5 * (1.0 - lag / band) / ((b - a) * (d - c))
+        out[lag, : count.size - lag] = taper * (v[0] - v[1] - v[2] + v[3])
+    return out
+
+
+def thermal_spread(model: DeviceModel) -> tuple[dict[str, float], dict[str, float]]:
+    """Values and standard deviations of the thermal parameters that a refit may move.
+
+    The deviation is the fit's own where the model file has it, with a floor for what differs between two
+    recordings of an unchanged device, and a default where it has none. Ambient and gain have next to none: without
+    a temperature sensor they are the scale that temperature is told in, and they are the same for both recordings.
+    """
+    floors = {
+        "thermal.time_constant": (0.003, 0.10),
+        "driver.dead_time": (0.003, 0.10),
+        "thermal.linear_gain": (1e-4, 1e-4),
+        "thermal.square_gain": (1e-4, 1e-4),
+    }
+    values, spreads = {}, {}
+    for name, (floor, default) in floors.items():
+        value = model.scalars[name]
+        if value == 0.0:
+            continue
+        known = model.uncertainty.get(name)
+        relative = abs(known[0] / model.scalars[name]) if known else default
+        values[name], spreads[name] = value, abs(value) * max(relative, floor)
+    name = "thermal.ambient"
+    known = model.uncertainty.get(name)
+    values[name] = model.scalars[name]
+    spreads[name] = max(known[0] if known else 0.0, 0.01)
+    return values, spreads

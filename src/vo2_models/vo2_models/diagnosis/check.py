@@ -1,0 +1,180 @@
+"""Look at the data before believing in physics: what makes a recording unusable, and what limits an answer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.device import PRESETS, preset
+from vo2_models.diagnosis.noise import level_from_differences
+from vo2_models.diagnosis.nominal import Nominal, judged
+from vo2_models.identification.plausibility import impossible, unusual
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
+
+__all__ = ["Finding", "Unusable", "check_recording"]
+
+Floats = NDArray[np.float64]
+SHORTEST = 500
+"""Fewest samples of a recording that can be judged."""
+
+
+class Unusable(ValueError):
+    """A recording or model with which no diagnosis is possible; the message is one line with the reason."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something about the data that limits the answer."""
+
+    kind: str
+    text: str
+
+
+def check_recording(recording: Recording, nominal: Nominal, *, name: str = "recording") -> list[Finding]:
+    """Return what limits a diagnosis with this recording.
+
+    Raises
+    ------
+    Unusable : another device, no usable channel, too short, constant drive, nothing but noise, a wrong clock.
+    """
+    # a rig may call itself what it likes; a preset's name is a claim
+    if recording.device in PRESETS and recording.device != nominal.device:
+        raise Unusable(
+            f"{name}: was recorded on device {recording.device!r}, the model is of {nominal.device!r}; "
+            "give the model of this device"
+        )
+    if len(recording) < SHORTEST:
+        raise Unusable(f"{name}: found {len(recording)} samples, need at least {SHORTEST}")
+    if HEATER_CURRENT not in recording:
+        raise Unusable(
+            f"{name}: found channels {', '.join(recording.channels) or 'none'}, need heater_current"
+        )
+    if wrong := impossible(recording, nominal.device):
+        raise Unusable(f"{name}: {'; '.join(wrong)}")
+    odd = unusual(recording, nominal.device)
+    if units := [text for text in odd if "check the unit" in text]:
+        raise Unusable(f"{name}: {'; '.join(units)}")
+    findings = [Finding("odd", text) for text in odd]
+    findings += _clock(recording, nominal, name)
+    findings += _drive(recording, nominal, name)
+    usable = []
+    for channel in (RESISTANCE, TIP_DEFLECTION):
+        if channel not in recording:
+            findings.append(
+                Finding("absent", f"{channel} is absent: effects that only it shows cannot be told")
+            )
+            continue
+        found, good = _channel(recording, channel, nominal)
+        findings += found
+        if good:
+            usable.append(channel)
+    if not usable:
+        reasons = "; ".join(
+            f.text for f in findings if f.kind in ("absent", "noise", "constant", "missing", "clipped")
+        )
+        raise Unusable(f"{name}: neither film_resistance nor tip_deflection can be used: {reasons}")
+    return findings
+
+
+def _clock(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:
+    steps = np.diff(recording.time_s)
+    dt = recording.sample_period_s
+    gaps = steps > 1.5 * dt
+    off = np.abs(steps / dt - np.rint(steps / dt))
+    jitter = float(np.mean(off[~gaps] > 0.2)) if np.any(~gaps) else 1.0
+    if jitter > 0.1:
+        raise Unusable(
+            f"{name}: {100 * jitter:.0f} % of the sample periods differ from the median {dt:.4g} s by over a fifth: "
+            "the clock is not that of a regular acquisition; check the stamps"
+        )
+    duration = recording.time_s[-1] - recording.time_s[0]
+    constant = preset(nominal.device).time_constant
+    if dt > 20 * constant or dt < preset(nominal.device).shortest_period / 2:
+        raise Unusable(
+            f"{name}: found a sample period of {dt:.4g} s, need {preset(nominal.device).shortest_period / 2:.4g} to "
+            f"{20 * constant:.4g} s for this device; check the stamps"
+        )
+    missing = float(np.sum(steps[gaps]) / duration) if np.any(gaps) else 0.0
+    if missing > 0.3:
+        raise Unusable(f"{name}: gaps make up {100 * missing:.0f} % of the recording, need less than 30 %")
+    found = []
+    if np.any(gaps):
+        first = float(recording.time_s[np.argmax(gaps)])
+        found.append(
+            Finding(
+                "gap",
+                f"{np.count_nonzero(gaps)} gaps, the first at {first:.6g} s, {100 * missing:.1f} % of the time: the "
+                "current is taken as held over them",
+            )
+        )
+    return found
+
+
+def _drive(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:
+    current = recording[HEATER_CURRENT]
+    good = np.isfinite(current)
+    if np.count_nonzero(good) < 0.5 * current.size:
+        raise Unusable(f"{name}: heater_current is missing from more than half of the samples")
+    low, high = preset(nominal.device).operating_range
+    extent = float(np.ptp(current[good]))
+    if extent < 0.01 * abs(high - low):
+        raise Unusable(
+            f"{name}: heater_current is constant (varies by {extent:.3g} A), need an excitation; "
+            "record a composite sequence"
+        )
+    if extent < 0.3 * abs(high - low):
+        return [
+            Finding(
+                "narrow",
+                f"the current covers {100 * extent / abs(high - low):.0f} % of the operating range: what happens "
+                "outside was not excited",
+            )
+        ]
+    return []
+
+
+def _channel(recording: Recording, channel: str, nominal: Nominal) -> tuple[list[Finding], bool]:
+    values = judged(channel, recording[channel])
+    good = np.isfinite(values)
+    share = float(np.mean(good))
+    if share < 0.5:
+        return [
+            Finding("missing", f"{channel} is missing from {100 * (1 - share):.0f} % of the samples")
+        ], False
+    x = values[good]
+    found = []
+    if share < 0.999:
+        found.append(
+            Finding("missing", f"{channel} is missing from {100 * (1 - share):.1f} % of the samples")
+        )
+    span = float(np.ptp(x))
+    if span == 0.0 or span < 1e-4 * nominal.span[channel]:
+        return [
+            *found,
+            Finding("constant", f"{channel} is constant: a broken lead or a stuck converter"),
+        ], False
+    noise = level_from_differences(x)
+    if noise > 0.25 * float(np.std(x)):
+        return [
+            *found,
+            Finding("noise", f"{channel} is mostly noise (level {noise / np.std(x):.0%} of its spread)"),
+        ], False
+    ends = max(float(np.mean(x == np.max(x))), float(np.mean(x == np.min(x))))
+    if ends > 0.5:
+        return [
+            *found,
+            Finding("clipped", f"{channel} sits at its end value in {100 * ends:.0f} % of the samples"),
+        ], False
+    if ends > 0.02:
+        found.append(
+            Finding("clipped", f"{channel} sits at its end value in {100 * ends:.1f} % of the samples")
+        )
+    return found, True
+
+
+def limits_in_words(findings: Sequence[Finding]) -> list[str]:
+    """One sentence each."""
+    return [f.text for f in findings]

@@ -1,0 +1,262 @@
+"""From fits to an answer: agrees, one or more named effects, rivals that cannot be told apart, or unknown.
+
+Thresholds are set on simulated devices of other seeds and another generator than those the reported rates
+come from; they are in `Thresholds`, each with what it guards against.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.diagnosis.evidence import Evidence
+from vo2_models.diagnosis.explain import Explanation, fit_jointly
+from vo2_models.diagnosis.hypotheses import Hypothesis
+from vo2_models.diagnosis.side_by_side import side_by_side
+
+__all__ = ["HeldOut", "Thresholds", "block_folds", "held_out", "probabilities"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """When an answer is given.
+
+    Attributes
+    ----------
+    gain : least drop of q of a named effect; on some fifty recordings without effect whose drop was looked at,
+        the largest drop was 329
+    evident_gain : the same of an effect that the values show by themselves, as those of a coarse converter do
+    sigmas : least distance of a magnitude from neutral, in its standard deviations
+    slack : residual power beyond the noise, in noise powers, that unchanged devices show too
+    complete : share of the excess beyond that which names must explain together, else "unknown" is the answer
+    complete_rivalled : the same for a single name where another effect alone explains more than...
+    dominated : ... this share of what it does: an equation that is a little off has no rival
+    complete_pair : the same for two names: two wrong ones together fit much...
+    complete_matched : ... unless no other pair with one of the two explains half of what the other adds
+    share : least share of a name's gain that must show on held-out blocks, and of the excess that an unnamed
+        correction must remove there
+    second : a second effect explains at least this share of what the first leaves over...
+    second_of_all : ... and this share of the excess of the channels where it acts
+    thorough : from this share of what is left over on, the next two do not matter: no wrong equation leaves so little
+    alike : ... and its pattern has at most this cosine with the first's: an equation that is a little off leaves
+        something like itself
+    excess, channel_excess : where nothing is named, a recording differs if the residual's power exceeds the noise
+        by this much, or a single channel's by that
+    plain : excess below which a residual that nothing predicts on held-out blocks is taken for noise or misfit
+    rival : rivals within this difference of q (5 sigma) are not told apart; on one loop every effect is a rival that is
+        not `dominated`, as an error in the loop's shape looks like any of them
+    apart : difference of q (10 sigma) to every other effect with which one is named that constants could stand for
+    tie : pairs within this share of what the best leaves over are equally good: the one with fewer parameters is named
+    pull : squared move of the thermal parameters, in their standard deviations, from which a recording differs by a
+        constant even if no effect saves a name's gain; of some hundred unchanged devices none moved half as far
+    pull_told : the same from which it is told beside a verdict
+    temper : how many times more the likelihood ratio must be than white noise would need
+    temper_on_one_loop : the same there, as a share of what the best effect explains
+    """
+
+    gain: float = 400.0
+    evident_gain: float = 25.0
+    sigmas: float = 4.0
+    slack: float = 0.12
+    complete: float = 0.75
+    complete_rivalled: float = 0.9
+    dominated: float = 0.5
+    complete_pair: float = 0.95
+    complete_matched: float = 0.8
+    share: float = 0.25
+    second: float = 0.55
+    second_of_all: float = 0.005
+    thorough: float = 0.85
+    alike: float = 0.25
+    excess: float = 0.25
+    channel_excess: float = 0.4
+    plain: float = 0.4
+    rival: float = 25.0
+    apart: float = 100.0
+    tie: float = 0.02
+    pull: float = 100.0
+    pull_told: float = 40.0
+    temper: float = 8.0
+    temper_on_one_loop: float = 0.1
+
+    def least(self, hypothesis: Hypothesis) -> float:
+        """Least drop of q with which a hypothesis is named."""
+        return self.evident_gain if hypothesis.evident else self.gain
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """How an explanation does on blocks it was not fitted on.
+
+    Attributes
+    ----------
+    share : of the excess explained
+    drop : of q of the held-out blocks, given the others
+    before, after, floor : channel -> root mean square in judged units: nominal simulation, explained, noise
+    spread : largest relative spread of a parameter over the folds, in standard deviations of the fit
+    stable : whether every fold agrees in sign and within a factor of two on every magnitude
+    """
+
+    share: float
+    drop: float
+    before: dict[str, float]
+    after: dict[str, float]
+    floor: dict[str, float]
+    stable: bool
+
+
+def block_folds(evidence: Evidence, *, blocks: int = 20) -> list[NDArray[np.bool_]]:
+    """Two folds of alternating long blocks, each (N,) True where a sample is held out."""
+    odd = np.zeros(evidence.weight.size, dtype=bool)
+    for row, part, _ in evidence.iterate():
+        place = np.arange(part.size) * blocks // part.size
+        odd[row.where] = place % 2 == 1
+    return [odd, ~odd]
+
+
+def held_out(
+    evidence: Evidence,
+    explanation: Explanation | None,
+    *,
+    reference: Evidence | None = None,
+    folds: Sequence[NDArray[np.bool_]] | None = None,
+    tick: Callable[[], None] = lambda: None,
+) -> HeldOut:
+    """Fit on one half of the blocks, judge on the other, both ways.
+
+    Parameters
+    ----------
+    evidence : the problem, about the explanation where there is one
+    explanation : what is judged; None judges the base alone
+    reference : the problem about the nominal simulation, which the gain is told against
+    folds : held-out masks; two of alternating long blocks by default
+    tick : called once per simulation
+    """
+    nominal = evidence if reference is None else reference
+    temperature = np.empty(nominal.weight.size)
+    for row, _, response in nominal.iterate():
+        temperature[row.where] = response.temperature
+
+    def reached(training: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Where the training blocks have been: at other temperatures nothing was fitted that could be judged."""
+        seen = temperature[training & (nominal.weight > 0)]
+        return np.asarray((temperature > seen.min() - 0.5) & (temperature < seen.max() + 0.5))
+
+    q_nominal = nominal.chi_square(nominal.residual)
+    before_energy = after_energy = 0.0
+    count = 0
+    squares: dict[str, dict[str, float]] = {"before": {}, "after": {}}
+    numbers: dict[str, int] = {}
+    estimates = []
+    masks = list(folds or block_folds(evidence))
+
+    def trained(held: NDArray[np.bool_]) -> tuple[Evidence, Explanation | None]:
+        training = evidence.restricted(~held)
+        if explanation is None:
+            return training, None
+        hypotheses, values = explanation.hypotheses, explanation.values
+        return training, fit_jointly(training, hypotheses, values, iterations=3, tick=tick)
+
+    for held, (training, fitted) in zip(masks, side_by_side(trained, masks), strict=True):
+        change = np.zeros(evidence.weight.size)
+        if fitted is not None:
+            estimates.append(fitted.values)
+            change = evidence.deviation(fitted.effects, fitted.shift)
+        weights = training.absorb(training.residual - np.where(held, 0.0, change))
+        plainly = nominal.restricted(~held)
+        rest = evidence.residual - change
+        with_it = rest - evidence.base.times(weights)
+        use = held & (evidence.weight > 0) & reached(~held)
+        # q of all minus q of the training blocks: how unlikely the held-out blocks are, given the others
+        before_energy += q_nominal - plainly.chi_square(plainly.residual)
+        after_energy += evidence.chi_square(rest) - training.chi_square(np.where(held, 0.0, rest))
+        count += int(np.count_nonzero(use))
+        for row in evidence.rows:
+            some = use[row.where]
+            noise = evidence.nominal.noise[row.channel]
+            weight = np.where(evidence.weight[row.where] > 0, evidence.weight[row.where], 1.0)
+            for name, vector in (("before", nominal.residual), ("after", with_it)):
+                plain = noise.color(vector[row.where] / weight)
+                squares[name][row.channel] = squares[name].get(row.channel, 0.0) + float(
+                    np.sum(plain[some] ** 2)
+                )
+            numbers[row.channel] = numbers.get(row.channel, 0) + int(np.count_nonzero(some))
+    excess = before_energy - count
+    share = (before_energy - after_energy) / excess if excess > 0 else 0.0
+    root = {
+        name: {c: float(np.sqrt(v / max(numbers[c], 1))) for c, v in by.items()}
+        for name, by in squares.items()
+    }
+    floor = {c: evidence.nominal.noise[c].level for c in numbers}
+    return HeldOut(
+        share,
+        before_energy - after_energy,
+        root["before"],
+        root["after"],
+        floor,
+        _stable(evidence, explanation, estimates),
+    )
+
+
+def _stable(
+    evidence: Evidence, explanation: Explanation | None, estimates: Sequence[Sequence[dict[str, float]]]
+) -> bool:
+    """Whether both folds find that every effect does the same, within a factor of two and a half in size."""
+    if explanation is None or len(estimates) < 2:
+        return True
+    plain = replace(evidence, included={})
+    for index, hypothesis in enumerate(explanation.hypotheses):
+        fitted = [n for n in explanation.values[index] if n not in hypothesis.choices]
+        free = [n for n in fitted if not hypothesis.logarithmic(n)]
+        shaped = len(fitted) - len(free)
+        if free and not shaped:
+            name = max(free, key=lambda n: abs(explanation.values[index][n]) / hypothesis.scales[n])
+            first, second = (fold[index][name] for fold in estimates)
+            if first * second <= 0 or not 0.4 < first / second < 2.5:
+                return False
+            continue
+        # a magnitude means little without its shape: compare what the effect does
+        without = plain.responses({})
+        one, other = (
+            evidence.stack(plain.responses(hypothesis.effects(fold[index])), without) for fold in estimates
+        )
+        # as it is, or what of it the base cannot take up: of a mode's slow heat the base may have any part
+        if not any(
+            _agree(one, other, *left) for left in ((one, other), (evidence.left(one), evidence.left(other)))
+        ):
+            return False
+    return True
+
+
+def _agree(one: Floats, other: Floats, left_one: Floats, left_other: Floats) -> bool:
+    """Whether two whitened changes (N,) agree in pattern and within a factor of two and a half in size.
+
+    `left_one`, `left_other` : what is left of them where something else may take up a part.
+    """
+    own, others = float(one @ left_one), float(other @ left_other)
+    if own <= 0 or others <= 0:
+        return False
+    return bool(one @ left_other >= 0.7 * np.sqrt(own * others) and 0.16 < own / others < 6.25)
+
+
+def probabilities(
+    chi_squares: Sequence[float], parameters: Sequence[int], *, count: int, temper: float
+) -> Floats:
+    """Posterior probabilities of rivals from q and the number of parameters, tempered for what q does not know.
+
+    Parameters
+    ----------
+    chi_squares : q of each
+    parameters : number of fitted parameters of each; each costs log(count)
+    count : number of samples
+    temper : divides the log likelihood ratios
+    """
+    score = np.array([-0.5 * (q + p * np.log(count)) for q, p in zip(chi_squares, parameters, strict=True)])
+    score = (score - np.max(score)) / temper
+    weight = np.exp(score)
+    return np.asarray(weight / np.sum(weight))

@@ -1,0 +1,410 @@
+"""One whitened problem out of several recordings, and what the base of loop shape and heat can absorb of it.
+
+With r the whitened residual of the nominal simulation, B the whitened tangent of the base (loop-shape
+corrections as uncertain as the calibration left them, thermal parameters as uncertain as the fit says),
+every column scaled to a unit normal weight, the base absorbs
+
+    b = (B'B + I)^-1 B'r ,   and what is left weighs   q(r) = r'r - r'B (B'B + I)^-1 B'r .
+
+q is the chi-square of the residual under noise and base together, so an effect is judged by how much it
+lowers q: the refit of the base is in it, without being made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from vo2_models.diagnosis.base import LoopShape, loop_shapes, thermal_spread
+from vo2_models.diagnosis.carry import through_structure
+from vo2_models.diagnosis.nominal import Nominal, Response
+from vo2_models.diagnosis.part import Part
+from vo2_models.diagnosis.reading import between_samples
+from vo2_models.diagnosis.side_by_side import side_by_side
+from vo2_models.diagnosis.tangent import Tangent
+from vo2_models.recording import HEATER_CURRENT, TIP_DEFLECTION
+
+__all__ = ["Evidence", "LoopColumns", "Row", "gather"]
+
+Floats = NDArray[np.float64]
+Effects = Mapping[str, Mapping[str, float | str]]
+QUICKEST = 0.2
+"""Least time constant that the base may ask for, as a share of the calibration's, which may hardly tell it."""
+STILL_K = 0.1
+"""Move of a temperature path over which the loop columns are taken as unchanged [K]."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """Where one channel of one recording stands in the stacked vectors."""
+
+    part: int
+    channel: str
+    where: slice
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The stacked, whitened problem.
+
+    Attributes
+    ----------
+    nominal : with loop-shape corrections
+    origin : (t,) move of the thermal parameters, in units of their columns, about which everything is linear
+    parts : recordings
+    rows : layout of the stacked vectors
+    weight : (N,) 0 where a sample is missing, else what divides the innovation (1 without rough misfit)
+    nominal_responses : one per part
+    residual : (N,) whitened residual of the nominal simulation
+    base : (N, k) whitened tangent of the base
+    loops : channel -> the loop columns that were kept, and where they were taken
+    follow : (N, t) what of the thermal columns is the loops' doing: the calibration has fixed them together with the lags
+    names : of the thermal columns, which are the last
+    spreads : a unit of each thermal column, in the parameter's unit
+    included : effects that the nominal responses already have
+    shapes : posterior of the loop shapes behind the base
+    """
+
+    nominal: Nominal
+    origin: Floats
+    parts: tuple[Part, ...]
+    rows: tuple[Row, ...]
+    weight: Floats
+    nominal_responses: tuple[Response, ...]
+    residual: Floats
+    base: Tangent
+    names: tuple[str, ...]
+    spreads: tuple[float, ...]
+    included: Effects = field(default_factory=dict)
+    shapes: Mapping[str, LoopShape] = field(default_factory=dict)
+    loops: Mapping[str, LoopColumns] = field(default_factory=dict)
+    follow: Floats = field(default_factory=lambda: np.zeros((1, 1)))
+
+    def __post_init__(self) -> None:
+        gram = self.base.gram()
+        gram[np.diag_indices_from(gram)] += 1.0
+        object.__setattr__(self, "_factor", cho_factor(gram, lower=True))
+
+    @property
+    def count(self) -> int:
+        """Number of samples that count."""
+        return int(np.count_nonzero(self.weight))
+
+    def responses(
+        self, effects: Effects, shift: Floats | None = None, *, fine: bool = True
+    ) -> list[Response]:
+        """Simulate every part with effects beside the included ones, thermal parameters moved by `shift` columns."""
+        thermal = self.moved(self.origin if shift is None else shift)
+        return [
+            self.nominal.respond(
+                part.current,
+                part.dt,
+                effects={**self.included, **effects},
+                thermal=thermal,
+                settled=part.settled,
+                fine=fine,
+            )
+            for part in self.parts
+        ]
+
+    def moved(self, shift: Floats) -> dict[str, float]:
+        """Thermal parameters moved from the model's by `shift`, in units of their columns."""
+        return _moved(self.nominal, shift)
+
+    def stack(self, responses: Sequence[Response], reference: Sequence[Response] | None = None) -> Floats:
+        """Whitened (N,) difference of responses from a reference (by default the nominal ones)."""
+        base = self.nominal_responses if reference is None else reference
+        out = np.empty(self.weight.size)
+        for row in self.rows:
+            new = responses[row.part].channels[row.channel]
+            old = base[row.part].channels[row.channel]
+            out[row.where] = self.nominal.noise[row.channel].whiten(new - old)
+        return out * self.weight
+
+    def deviation(self, effects: Effects, shift: Floats | None = None, *, fine: bool = True) -> Floats:
+        """Whitened (N,) change of the simulation that effects make.
+
+        With `shift`, thermal parameters are moved that far from the model's, and what the linear base says of that
+        move is taken off again: the base still pays for the move, but its curvature is in the deviation.
+        """
+        change = self.stack(self.responses(effects, shift, fine=fine))
+        if shift is not None and shift.size:
+            change = change - (self.base.thermal - self.follow) @ (shift - self.origin)
+        return change
+
+    def deviations(
+        self, several: Sequence[Effects], shift: Floats | None = None, *, fine: bool = True
+    ) -> list[Floats]:
+        """`deviation` of several sets of effects, simulated side by side on the cores."""
+        return side_by_side(lambda effects: self.deviation(effects, shift, fine=fine), several)
+
+    def taken(self, against: Floats) -> Floats:
+        """Weights (k,) or (k, p) with which the base absorbs a whitened vector v, from B'v: (B'B + I)^-1 B'v."""
+        return np.asarray(cho_solve(self._factor, against, check_finite=False))  # type: ignore[attr-defined]
+
+    def absorb(self, vector: Floats) -> Floats:
+        """Weights (k,) with which the base absorbs a whitened vector."""
+        return self.taken(self.base.against(vector))
+
+    def left(self, vector: Floats) -> Floats:
+        """What the base leaves of a whitened vector (or columns): C^-1 v, C the covariance of noise and base."""
+        return vector - self.base.times(self.absorb(vector))
+
+    def left_in(self, rows: slice, columns: Floats) -> Floats:
+        """What the base leaves of whitened columns (n, p) of one channel that are zero in all others."""
+        inner = self.taken(self.base.against_rows(rows, columns))
+        return columns - self.base.times_rows(rows, inner)
+
+    @cached_property
+    def q(self) -> float:
+        """q of the residual."""
+        return self.chi_square(self.residual)
+
+    def chi_square(self, vector: Floats, against: Floats | None = None) -> float:
+        """q of a whitened vector v; `against` is B'v where that is known."""
+        inner = self.base.against(vector) if against is None else against
+        return float(vector @ vector - inner @ self.taken(inner))
+
+    def chi_squares(self, columns: Floats) -> Floats:
+        """q of each of the whitened columns (N, m)."""
+        inner = self.base.against(columns)
+        return np.asarray(np.sum(columns**2, axis=0) - np.sum(inner * self.taken(inner), axis=0))
+
+    def restricted(self, keep: NDArray[np.bool_]) -> Evidence:
+        """The same problem with only some samples counting: for a fit that leaves blocks out."""
+        weight = np.where(keep, self.weight, 0.0)
+        return replace(
+            self,
+            weight=weight,
+            residual=np.where(keep, self.residual, 0.0),
+            base=self.base.restricted(keep),
+            follow=self.follow * keep[:, None],
+        )
+
+    def rows_of(self, channel: str) -> slice:
+        """Where a channel stands, over all recordings."""
+        own = [row.where for row in self.rows if row.channel == channel]
+        return slice(own[0].start, own[-1].stop)
+
+    def iterate(self) -> Iterator[tuple[Row, Part, Response]]:
+        """Rows with their recording and nominal response."""
+        for row in self.rows:
+            yield row, self.parts[row.part], self.nominal_responses[row.part]
+
+
+def gather(
+    nominal: Nominal,
+    parts: Sequence[Part],
+    *,
+    shift: Floats | None = None,
+    effects: Effects | None = None,
+    shapes: Mapping[str, LoopShape] | None = None,
+    loops: Mapping[str, LoopColumns] | None = None,
+    say: Callable[[str], None] = lambda text: None,
+) -> Evidence:
+    """Build the problem: loop shape from the calibration, simulation of every part, whitened base.
+
+    Parameters
+    ----------
+    nominal : without corrections
+    parts : recordings, as `part.prepare` made them
+    shift : move of the thermal parameters to linearise about; the base pays for it as for its own moves
+    effects : effects to linearise about
+    shapes : posterior of the loop shapes, where it is known already
+    loops : columns of an earlier problem: their directions are kept, and they themselves where the
+        temperatures have hardly moved
+    say : called with what is being done
+    """
+    shapes = loop_shapes(nominal) if shapes is None else shapes
+    spreads = thermal_spread(nominal.model)[1]
+    origin = np.zeros(len(spreads)) if shift is None else np.asarray(shift, dtype=np.float64)
+    moved = {n: float(z) * spreads[n] for n, z in zip(spreads, origin, strict=True)}
+    corrected = replace(nominal, corrections={c: s.fold(moved) for c, s in shapes.items()})
+    thermal = _moved(corrected, origin)
+    say("simulating the recordings")
+    responses = [
+        corrected.respond(p.current, p.dt, effects=effects, thermal=thermal, settled=p.settled) for p in parts
+    ]
+    rows, end = [], 0
+    for channel in dict.fromkeys(channel for part in parts for channel in part.channels):
+        for index, part in enumerate(parts):
+            if channel in part.channels:
+                rows.append(Row(index, channel, slice(end, end + part.size)))
+                end += part.size
+    weight = np.empty(end)
+    residual = np.empty(end)
+    for row in rows:
+        part, response = parts[row.part], responses[row.part]
+        noise = corrected.noise[row.channel]
+        measured, counts = part.observed[row.channel], part.valid[row.channel]
+        predicted = response.channels[row.channel]
+        rough: Floats | float = 0.0
+        if row.channel in shapes:
+            rough = shapes[row.channel].rough_at(response.temperature)
+        elif row.channel == HEATER_CURRENT:
+            rough = between_samples(measured, noise.level)
+        weight[row.where] = _reach(counts, len(noise.ar)) / np.sqrt(
+            1.0 + (rough**2 + part.comb_level(row.channel) ** 2) / noise.level**2
+        )
+        residual[row.where] = noise.whiten(np.where(counts, measured - predicted, 0.0))
+    residual *= weight
+    kept = _loop_columns(shapes, rows, responses, corrected, weight, loops or {})
+    blocks = _whitened(kept, rows, parts, corrected, effects or {}, weight)
+    partial = Evidence(
+        corrected, origin, tuple(parts), tuple(rows), weight, tuple(responses), residual,
+        Tangent((), np.zeros((end, 0))), (), (), dict(effects or {}), shapes, kept,
+    )  # fmt: skip
+
+    def column(step: Floats) -> Floats:
+        return partial.stack(partial.responses({}, origin + step)) / 0.2
+
+    columns = side_by_side(column, 0.2 * np.eye(origin.size))
+    follow = _following(partial, spreads)
+    thermal_columns = np.column_stack(columns) if columns else np.zeros((end, 0))
+    base = Tangent(blocks, thermal_columns + follow)
+    # told from the model's own thermal parameters, so that the base pays for the origin too
+    if origin.size:
+        residual = residual + base.thermal @ origin
+    return replace(
+        partial,
+        residual=residual,
+        base=base,
+        names=tuple(spreads),
+        spreads=tuple(spreads.values()),
+        follow=follow,
+    )
+
+
+def _following(evidence: Evidence, spreads: Mapping[str, float]) -> Floats:
+    """Whitened change (N, t) of the loops that goes with each thermal parameter's step."""
+    out = np.zeros((evidence.weight.size, len(spreads)))
+    simulation = evidence.nominal.model.simulation.with_effects(evidence.included)
+    for row, part, response in evidence.iterate():
+        shape = evidence.shapes.get(row.channel)
+        for place, (name, spread) in enumerate(spreads.items()):
+            if shape is None or name not in shape.by_lag:
+                continue
+            change = shape.basis.fold(spread * shape.by_lag[name], span=shape.span)(response.temperature)
+            if row.channel == TIP_DEFLECTION:
+                change = through_structure(simulation, change[:, None], part.dt)[:, 0]
+            whitened = evidence.nominal.noise[row.channel].whiten(change)
+            out[row.where, place] = whitened * evidence.weight[row.where]
+    return out
+
+
+def _moved(nominal: Nominal, shift: Floats) -> dict[str, float]:
+    values, spreads = thermal_spread(nominal.model)
+    moved = {n: values[n] + spreads[n] * z for n, z in zip(spreads, shift, strict=True)}
+    for name in ("driver.dead_time", "thermal.time_constant"):
+        if name in moved:
+            moved[name] = max(moved[name], 0.0 if name == "driver.dead_time" else QUICKEST * values[name])
+    return moved
+
+
+def _reach(counts: NDArray[np.bool_], order: int) -> Floats:
+    """1 where a sample and those its whitening needs are there, else 0."""
+    good = counts.copy()
+    for k in range(1, order + 1):
+        good[k:] &= counts[:-k]
+    return good.astype(np.float64)
+
+
+@dataclass(frozen=True)
+class LoopColumns:
+    """Columns of one channel's loop shape, before whitening.
+
+    Attributes
+    ----------
+    directions : (m, k) weights of the basis that make them: what the data can tell, each a unit normal beforehand
+    temperature : per recording, (n,) the path they were taken on [degC]
+    raw : per recording, (n, k) in the channel's unit
+    """
+
+    directions: Floats
+    temperature: tuple[Floats, ...]
+    raw: tuple[Floats, ...]
+
+    def fits(self, paths: Sequence[Floats]) -> bool:
+        """Whether the columns are as good on other paths: they change over kelvins."""
+        return len(paths) == len(self.temperature) and all(
+            new.size == old.size and float(np.max(np.abs(new - old))) < STILL_K
+            for new, old in zip(paths, self.temperature, strict=True)
+        )
+
+
+def _loop_columns(
+    shapes: Mapping[str, LoopShape],
+    rows: Sequence[Row],
+    responses: Sequence[Response],
+    nominal: Nominal,
+    weight: Floats,
+    known: Mapping[str, LoopColumns],
+) -> dict[str, LoopColumns]:
+    """Columns of the loop shapes on these responses: few directions, each a unit normal beforehand."""
+    present = [channel for channel in shapes if any(row.channel == channel for row in rows)]
+
+    def columns(channel: str) -> LoopColumns:
+        own = [row for row in rows if row.channel == channel]
+        paths = tuple(responses[row.part].temperature for row in own)
+        before, shape = known.get(channel), shapes[channel]
+        if before is not None and before.fits(paths):
+            return before
+        features = [shape.basis.features(path, span=shape.span) for path in paths]
+        if before is not None:
+            directions = before.directions
+        else:
+            noise = nominal.noise[channel]
+            gram = sum(
+                _sampled_gram(_weighed(noise.whiten(f), weight[row.where]))
+                for f, row in zip(features, own, strict=True)
+            )
+            directions = shape.spread(_main_directions(shape.whitened(np.asarray(gram))))
+        return LoopColumns(directions, paths, tuple(f @ directions for f in features))
+
+    return dict(zip(present, side_by_side(columns, present), strict=True))
+
+
+def _whitened(
+    loops: Mapping[str, LoopColumns],
+    rows: Sequence[Row],
+    parts: Sequence[Part],
+    nominal: Nominal,
+    effects: Effects,
+    weight: Floats,
+) -> tuple[tuple[slice, Floats], ...]:
+    """Whitened block of each channel, with its rows; what is open in the deflection's loop rings and creeps as all of it."""
+    simulation = nominal.model.simulation.with_effects(effects)
+    blocks = []
+    for channel, columns in loops.items():
+        noise = nominal.noise[channel]
+        own, block = [row for row in rows if row.channel == channel], []
+        for raw, row in zip(columns.raw, own, strict=True):
+            seen = (
+                through_structure(simulation, raw, parts[row.part].dt) if channel == TIP_DEFLECTION else raw
+            )
+            block.append(_weighed(noise.whiten(seen), weight[row.where]))
+        blocks.append((slice(own[0].where.start, own[-1].where.stop), np.concatenate(block)))
+    return tuple(blocks)
+
+
+def _weighed(columns: Floats, weight: Floats) -> Floats:
+    """Multiply columns (n, k) by weights (n,), in place: they are large."""
+    columns *= weight[:, None]
+    return columns
+
+
+def _sampled_gram(block: Floats, sample: int = 6000) -> Floats:
+    stride = max(1, block.shape[0] // sample)
+    some = block[::stride]
+    return np.asarray(some.T @ some * float(stride))
+
+
+def _main_directions(gram: Floats, *, negligible: float = 0.5, most: int = 260) -> Floats:
+    """Directions (m, k) of unit-normal weights that the data can tell from zero at all."""
+    value, vector = np.linalg.eigh(gram)
+    return np.asarray(vector[:, value > negligible][:, -most:])

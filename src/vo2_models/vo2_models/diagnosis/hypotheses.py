@@ -1,0 +1,337 @@
+"""What could have been left out: every effect of the catalogue, on every signal, with starting values.
+
+Nothing here knows an effect by name. Starting values follow from the record: its neutral values tell a
+magnitude from a shape parameter, its typical range the size, its units where the recording itself can say
+more (a frequency from the residual's spectrum, a limit or a step from the values).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+from vo2_models.device.coefficients import HUGE
+from vo2_models.diagnosis.evidence import Evidence
+from vo2_models.diagnosis.part import value_step
+from vo2_models.effects import Effect, effects
+from vo2_models.effects.record import CHOICE
+from vo2_models.parameters import Parameter
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE
+
+__all__ = ["MAGNITUDE_STEP", "Hypothesis", "hypotheses", "windowed"]
+
+Floats = NDArray[np.float64]
+Values = Mapping[str, float]
+INSIDE = (1.0, 0.995, 0.98, 0.95, 0.9, 0.8, 0.6)
+"""Shares of the values that a limit may leave as they are."""
+SLOWEST = 3.0
+"""Longest time constant that is looked for, in lengths of the longest recording."""
+MAGNITUDE_STEP = 0.05
+"""A step that matters of a magnitude, as a share of its typical size."""
+COARSE = 1.2
+"""Noise of a converter over that of the calibration from which the converter is a new one."""
+REPEATED = 8
+"""So often a converter at its limit gives the same value; noise does not."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One effect on one signal.
+
+    Attributes
+    ----------
+    record : of the catalogue
+    signal : channel it sits on, empty for none
+    starts : starting values of the parameters that are fitted; one that a start leaves out stays neutral
+    scales : parameter -> a step that matters
+    evident : whether the values show it by themselves: all on a grid much coarser than the calibration's noise
+    fastest : half the sampling rate [Hz]; what oscillates faster is not seen to oscillate
+    slowest : longest time constant [s]; what takes longer is seen as a straight line, or not to move
+    """
+
+    record: Effect
+    signal: str
+    starts: tuple[Values, ...]
+    scales: Values
+    evident: bool = False
+    fastest: float = np.inf
+    slowest: float = np.inf
+
+    @property
+    def key(self) -> str:
+        """Id, with the signal where there is one."""
+        return f"{self.record.id}:{self.signal}" if self.signal else self.record.id
+
+    def effects(self, values: Values) -> dict[str, dict[str, float | str]]:
+        """Return what `Simulation.with_effects` takes."""
+        given: dict[str, float | str] = dict(values)
+        return {self.key: {**given, "signal": self.signal} if self.signal else given}
+
+    def parameter(self, name: str) -> Parameter:
+        """Record of a parameter."""
+        return next(p for p in self.record.parameters if p.name == name)
+
+    @property
+    def switches(self) -> tuple[str, ...]:
+        """Parameters that are times at which the effect goes on and off."""
+        return tuple(p.name for p in self.record.parameters if p.unit == "s" and abs(_neutral(p)) >= HUGE)
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """Parameters that are not fitted: alternatives are tried both ways, an evident step is read off the values."""
+        return tuple(
+            p.name for p in self.record.parameters if p.unit == CHOICE or (self.evident and p.name == "step")
+        )
+
+    @property
+    def magnitudes(self) -> tuple[str, ...]:
+        """Fitted parameters in which the effect is linear as long as it is small, and which are neutral at zero."""
+        fitted = self.starts[0]
+        return tuple(
+            n
+            for n in fitted
+            if _neutral(self.parameter(n)) == 0.0 and not self.logarithmic(n) and n not in self.choices
+        )
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        """Physical range, of a frequency and of a time constant what the samples can show of it."""
+        parameter = self.parameter(name)
+        upper = float(parameter.upper or 0.0)
+        if parameter.unit == "s" and self.logarithmic(name):
+            upper = min(upper, self.slowest)
+        return float(parameter.lower or 0.0), min(upper, self.fastest) if parameter.unit == "Hz" else upper
+
+    def ends(self, name: str, value: float) -> bool:
+        """Whether a value is at the end of what is physical; nothing and anything are no ends."""
+        return any(
+            np.isclose(value, end, rtol=1e-6) and abs(end) < 1e9 and end != 0.0 for end in self.bounds(name)
+        )
+
+    def logarithmic(self, name: str) -> bool:
+        """Whether it is fitted by its logarithm: a shape parameter, which is positive and not neutral at zero."""
+        parameter = self.parameter(name)
+        return float(parameter.default) > 0 and float(parameter.lower or 0.0) > 0  # type: ignore[arg-type]
+
+
+def hypotheses(evidence: Evidence, device: str, residual: Floats) -> list[Hypothesis]:
+    """Return every hypothesis that can show in the recordings' channels.
+
+    Parameters
+    ----------
+    evidence : the problem
+    device : preset id
+    residual : (N,) what is to be explained, whitened, base taken out
+    """
+    measured = {row.channel for row in evidence.rows}
+    found = []
+    for record in effects().values():
+        if device not in record.presets:
+            continue
+        for signal in record.signals(device):
+            if not measured & set(record.reaches(device, signal)):
+                continue
+            starts, scales = _starts(evidence, record, signal, device, residual)
+            if starts:
+                on_grid = "step" in scales and _coarser_than_before(evidence, signal)
+                fastest = 0.5 / max(part.dt for part in evidence.parts)
+                slowest = SLOWEST * max(part.size * part.dt for part in evidence.parts)
+                one = Hypothesis(
+                    record, signal, tuple(starts), scales, evident=on_grid, fastest=fastest, slowest=slowest
+                )
+                inside = tuple(
+                    {n: min(v, one.bounds(n)[1]) if one.logarithmic(n) else v for n, v in start.items()}
+                    for start in starts
+                )
+                found.append(windowed(evidence, replace(one, starts=inside), residual))
+    return found
+
+
+def windowed(evidence: Evidence, hypothesis: Hypothesis, residual: Floats) -> Hypothesis:
+    """The hypothesis, begun on and off again too, where it goes on and off at all, when the residual asks for it.
+
+    Parameters
+    ----------
+    evidence : the problem
+    hypothesis : with or without such starts; those of another residual are dropped
+    residual : (N,) what is to be explained, whitened, base taken out
+
+    Returns
+    -------
+    the same hypothesis where it does not go on and off
+    """
+    if len(hypothesis.switches) != 2:
+        return hypothesis
+    on, off = hypothesis.switches
+    lasting = [start for start in hypothesis.starts if on not in start]
+    windows = _windows(evidence, hypothesis.record, hypothesis.signal, lasting[0], (on, off), residual)
+    length = max(part.time_s[-1] - part.time_s[0] for part in evidence.parts)
+    return replace(
+        hypothesis,
+        starts=(*lasting, *({**start, on: a, off: b} for start in lasting[::2] for a, b in windows)),
+        scales={**hypothesis.scales, **dict.fromkeys((on, off), float(2e-3 * length))},
+    )
+
+
+def _coarser_than_before(evidence: Evidence, signal: str) -> bool:
+    """Whether the values lie on a grid that the calibration's noise cannot have come from.
+
+    A converter alone makes a noise of step / sqrt(12).
+    """
+    return any(
+        float(np.median(part.comb_level(signal))) > COARSE * evidence.nominal.noise[signal].level
+        for part in evidence.parts
+        if signal in part.comb
+    )
+
+
+def _starts(
+    evidence: Evidence, record: Effect, signal: str, device: str, residual: Floats
+) -> tuple[list[dict[str, float]], dict[str, float]]:
+    typical = record.typical.get(f"{device}:{signal}") or record.typical.get(device, {})
+    free = [p for p in record.parameters if p.name not in record.fixed]
+    limits = [p for p in free if abs(_neutral(p)) >= HUGE and p.unit in ("A", "channel unit")]
+    if limits:  # flat tops: each limit by itself, at places where the values end
+        starts: list[dict[str, float]] = []
+        scales: dict[str, float] = {}
+        for p in limits:
+            seen = _values(evidence, signal or HEATER_CURRENT)
+            spread = float(np.ptp(seen))
+            upper = _neutral(p) > 0
+            end = float(np.max(seen) if upper else np.min(seen))
+            if signal:  # a converter repeats its end value exactly, noise and all
+                if np.count_nonzero(seen == end) < REPEATED:
+                    continue
+                ends = np.array([end])
+            else:
+                inside = np.array(INSIDE)
+                ends = np.quantile(seen, inside if upper else 1.0 - inside)
+            starts += [{p.name: float(end)} for end in dict.fromkeys(ends.tolist())]
+            scales[p.name] = 0.02 * spread
+        return starts, scales
+    grids: dict[str, list[float]] = {}
+    scales = {}
+    for p in free:
+        low, high = typical.get(p.name, (0.0, 0.0))
+        middle = float(np.sqrt(low * high)) if low > 0 else 0.0
+        if p.unit == CHOICE:
+            grids[p.name] = [0.0, 1.0]
+            scales[p.name] = 1.0
+        elif p.unit == "Hz":
+            grids[p.name] = _frequencies(evidence, record, signal, device, residual)
+            scales[p.name] = 0.02
+        elif _neutral(p) == 0.0 and not middle:
+            grids[p.name] = [0.0]
+            scales[p.name] = 0.0  # set below, from the other magnitudes
+        elif _neutral(p) == 0.0:
+            # one sign is enough: the score tells the other
+            grids[p.name] = (
+                [middle] if sum(q.unit != CHOICE for q in free) > 1 else [0.4 * middle, 2.0 * middle]
+            )
+            scales[p.name] = MAGNITUDE_STEP * middle
+        elif middle:
+            # beside a frequency that the residual tells, the rest matters less; by itself, nothing helps a start far off
+            alone = int(np.ceil(np.log2(9.0 * high / low))) + 1
+            count = 2 if any(q.unit == "Hz" for q in free) else 5 if len(free) > 1 else alone
+            grids[p.name] = np.geomspace(low / 3, high * 3, count).tolist()
+            scales[p.name] = 0.05
+        else:
+            grids[p.name] = [_neutral(p)]
+            scales[p.name] = 0.05
+    if "step" in grids and signal:
+        step = value_step(_values(evidence, signal))
+        if step:
+            grids["step"] = [step]
+    for p in free:
+        if scales[p.name] == 0.0:  # a magnitude without typical value: what the whole recording makes visible
+            length = max(part.time_s[-1] - part.time_s[0] for part in evidence.parts)
+            first = next((v for n, v in scales.items() if v), 0.0)
+            scales[p.name] = first / length if p.unit.endswith("s^2") else first
+    starts = []
+    for combination in product(*grids.values()):
+        values = dict(zip(grids, combination, strict=True))
+        starts.append({n: _clipped(record, n, v) for n, v in values.items()})
+    return starts, scales
+
+
+def _windows(
+    evidence: Evidence,
+    record: Effect,
+    signal: str,
+    start: Values,
+    names: tuple[str, str],
+    residual: Floats,
+    *,
+    pieces: int = 30,
+    most: int = 3,
+) -> list[tuple[float, float]]:
+    """Times of switching on and off that explain most, best first; none where being on all the time does as well.
+
+    What was switched leaves a memory: the effect of a window is the difference of two effects that stay on, one from the
+    begin and one from the end of it. Only for a single recording: times are told from its start.
+    """
+    if len(evidence.parts) != 1:
+        return []
+    part = evidence.parts[0]
+    times = np.linspace(0.0, part.size * part.dt, pieces + 1)[:-1]
+    given: dict[str, float | str] = {**start, **({"signal": signal} if signal else {})}
+    key = f"{record.id}:{signal}" if signal else record.id
+    lasting = np.column_stack(evidence.deviations([{key: {**given, names[0]: float(t)}} for t in times]))
+    gram = np.zeros((pieces + 1, pieces + 1))  # the last is never on
+    gram[:-1, :-1] = lasting.T @ evidence.left(lasting)
+    along = np.append(residual @ lasting, 0.0)
+    begin, end = np.triu_indices(pieces + 1, 2)
+    own = gram[begin, begin] + gram[end, end] - 2.0 * gram[begin, end]
+    gain = (along[begin] - along[end]) ** 2 / np.maximum(own, 1e-9)
+    always = float(gain[(begin == 0) & (end == pieces)][0])
+    edges = np.append(times, HUGE)
+    order = [k for k in np.argsort(-gain)[:most] if gain[k] > 1.1 * always]
+    return [(float(times[begin[k]]), float(edges[end[k]])) for k in order]
+
+
+def _neutral(parameter: Parameter) -> float:
+    return float(parameter.default)  # type: ignore[arg-type]
+
+
+def _clipped(record: Effect, name: str, value: float) -> float:
+    parameter = next(p for p in record.parameters if p.name == name)
+    return float(np.clip(value, parameter.lower, parameter.upper))
+
+
+def _values(evidence: Evidence, channel: str) -> Floats:
+    """All values of a channel in its own unit; of the drive where the current is not compared."""
+    found = []
+    for part in evidence.parts:
+        if channel in part.observed:
+            values = part.observed[channel][part.valid[channel]]
+            found.append(10.0**values if channel == RESISTANCE else values)
+        elif channel == HEATER_CURRENT:
+            found.append(np.abs(part.current))
+    values = np.concatenate(found) if found else np.zeros(1)
+    return np.abs(values) if channel == HEATER_CURRENT else values
+
+
+def _frequencies(
+    evidence: Evidence, record: Effect, signal: str, device: str, residual: Floats
+) -> list[float]:
+    """Peaks of the residual's spectrum in the channels that the effect reaches, and a coarse grid [Hz]."""
+    reached = record.reaches(device, signal)
+    found: list[float] = []
+    for row, part, _ in evidence.iterate():
+        if row.channel not in reached:
+            continue
+        size = min(2048, part.size)
+        frequency, power = welch(residual[row.where], fs=1.0 / part.dt, nperseg=size)
+        inner = slice(3, -1)
+        order = np.argsort(power[inner])[::-1]
+        for k in order:
+            candidate = float(frequency[inner][k])
+            if all(abs(np.log(candidate / f)) > 0.15 for f in found):
+                found.append(candidate)
+            if len(found) >= 6:
+                break
+    return found

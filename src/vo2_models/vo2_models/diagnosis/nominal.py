@@ -1,0 +1,352 @@
+"""The fitted simulation as a diagnosis uses it: judged units, noise of each channel, correction of the loop shape."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.device import DeviceModel, preset
+from vo2_models.device.coefficients import CHANNELS, HUGE, Coefficient, Sensor, sensor_index
+from vo2_models.device.simulation import Simulation
+from vo2_models.diagnosis.carry import Film, carried, corrected_film, film_alone
+from vo2_models.diagnosis.noise import NoiseModel
+from vo2_models.identification.digest import CalibrationDigest
+from vo2_models.identification.enrichment import Correction, EnrichmentBasis
+from vo2_models.model_file import load_model_parameters
+from vo2_models.parameters import Value
+from vo2_models.recording import (
+    COMMANDED_CURRENT,
+    HEATER_CURRENT,
+    RESISTANCE,
+    STAGE_TEMPERATURE,
+    TIP_DEFLECTION,
+    Recording,
+)
+
+__all__ = [
+    "JUDGED_UNIT",
+    "Nominal",
+    "Response",
+    "basis_of",
+    "drive_of",
+    "judged",
+    "rounded_with_noise",
+    "span_of",
+]
+
+Floats = NDArray[np.float64]
+JUDGED_UNIT = {HEATER_CURRENT: "A", RESISTANCE: "log10 ohm", TIP_DEFLECTION: "m", STAGE_TEMPERATURE: "degC"}
+"""Unit in which a channel is compared: resistance in decades, the others as they are."""
+RINGING = 0.05
+"""Cycles per sample from which a mode follows what happens between samples."""
+MOVED = 5.0
+"""Move of a thermal parameter, in standard deviations, that may hide an effect."""
+TONES = 40
+"""Tones of a staircase that are kept."""
+FILMS = 8
+"""Simulations of the film that are kept: hypotheses about what is behind it ask for the same ones again."""
+FINE = 4
+"""Steps of a sample where it counts what happens in between."""
+THERMAL = {
+    "driver.dead_time": Coefficient.DEAD_TIME,
+    "thermal.ambient": Coefficient.AMBIENT,
+    "thermal.linear_gain": Coefficient.LINEAR_GAIN,
+    "thermal.square_gain": Coefficient.SQUARE_GAIN,
+    "thermal.time_constant": Coefficient.TIME_CONSTANT,
+}
+
+
+def judged(channel: str, values: Floats) -> Floats:
+    """Values in the unit in which they are compared; NaN for a resistance that is not positive."""
+    if channel != RESISTANCE:
+        return np.asarray(values, dtype=np.float64)
+    out = np.full(values.shape, np.nan)
+    positive = np.isfinite(values) & (values > 0)
+    out[positive] = np.log10(values[positive])
+    return out
+
+
+def drive_of(recording: Recording) -> tuple[Floats, bool]:
+    """Return what the simulation is driven with [A], and whether the logged current is a reading of its own.
+
+    Driver effects act between the command and the current. Where the bag has commands these drive the
+    simulation, and a logged current that differs from them is one more channel; a logged current that only
+    repeats the command says nothing.
+    """
+    logged = recording[HEATER_CURRENT]
+    if COMMANDED_CURRENT not in recording:
+        return _held(logged), False
+    command = recording[COMMANDED_CURRENT]
+    command = np.where(np.isfinite(command), command, logged)
+    both = np.isfinite(logged)
+    scale = max(float(np.ptp(command[both])), 1e-12) if np.any(both) else 1.0
+    own = bool(np.any(np.abs(logged[both] - command[both]) > 1e-6 * scale))
+    return _held(command), own
+
+
+def _held(current: Floats) -> Floats:
+    """Hold the last value over missing samples, as a driver does."""
+    good = np.isfinite(current)
+    if good.all():
+        return np.ascontiguousarray(current)
+    if not good.any():
+        raise ValueError("heater_current: found no finite sample, need the current that drives the device")
+    last = np.maximum.accumulate(np.where(good, np.arange(current.size), 0))
+    filled = current[last]
+    filled[: np.argmax(good)] = current[np.argmax(good)]
+    return filled
+
+
+@dataclass(frozen=True)
+class Response:
+    """What the simulation says about one recording.
+
+    Attributes
+    ----------
+    channels : channel -> (n,) in judged units
+    temperature : (n,) of the film [degC]
+    """
+
+    channels: Mapping[str, Floats]
+    temperature: Floats
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """A fitted simulation with everything a diagnosis needs to know about it.
+
+    Attributes
+    ----------
+    model : as fitted, without effects
+    parameters : the whole model file, for the corrected one
+    digest : the calibration in short, None for a model file without it
+    noise : channel -> noise in judged units
+    corrections : channel -> correction of the loop shape, from the digest (resistance and deflection)
+    """
+
+    model: DeviceModel
+    parameters: Mapping[str, Value]
+    digest: CalibrationDigest | None
+    noise: Mapping[str, NoiseModel]
+    corrections: Mapping[str, Correction] = field(default_factory=dict)
+
+    @classmethod
+    def from_parameters(cls, parameters: Mapping[str, Value]) -> Nominal:
+        """Read a model file's parameters.
+
+        Raises
+        ------
+        ValueError : no resistance law in it, or whatever `DeviceModel` refuses.
+        """
+        model = DeviceModel.from_parameters(parameters)
+        if not model.resistance.present and not model.deflection.present:
+            raise ValueError("model: found no resistance and no deflection law, need a file that `fit` wrote")
+        digest = CalibrationDigest.from_parameters(parameters)
+        stored = {
+            RESISTANCE: digest.noise_log_resistance if digest else (),
+            TIP_DEFLECTION: digest.noise_deflection if digest else (),
+            STAGE_TEMPERATURE: digest.noise_stage if digest else (),
+            HEATER_CURRENT: digest.noise_current if digest else (),
+        }
+        noise = {}
+        for channel in CHANNELS:
+            if stored.get(channel):
+                noise[channel] = NoiseModel(stored[channel][0], tuple(stored[channel][1:]))
+                continue
+            level = model.sensors[channel].noise if channel in model.sensors else 0.0
+            level = level or preset(model.device).noise.get(channel, 0.0)
+            if level > 0:
+                noise[channel] = NoiseModel(level / np.log(10) if channel == RESISTANCE else level)
+        return cls(model, dict(parameters), digest, noise)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Nominal:
+        """Read a model file; raise a `ValueError` that names the file or the parameter."""
+        return cls.from_parameters(load_model_parameters(path))
+
+    @property
+    def device(self) -> str:
+        """Preset id."""
+        return self.model.device
+
+    @property
+    def span(self) -> dict[str, float]:
+        """Range of each channel in judged units."""
+        return span_of(self.device)
+
+    def _noise_of(self, channel: str, values: Floats) -> Floats:
+        """Noise of a channel (n,) in its own unit."""
+        level = self.noise[channel].level if channel in self.noise else 0.0
+        return (
+            np.abs(values) * level * np.log(10.0) if channel == RESISTANCE else np.full(values.shape, level)
+        )
+
+    @cached_property
+    def _films(self) -> Callable[[bytes, bytes, float], Film]:
+        """Corrected film for coefficients, current [A] and sample period [s], the last few kept."""
+        plain, corrections = self.model.simulation, self.corrections
+
+        @lru_cache(maxsize=FILMS)
+        def film(coefficients: bytes, current: bytes, dt: float) -> Film:
+            chain = replace(plain, coefficients=np.frombuffer(coefficients).copy())
+            out = _bounded(chain.run(np.frombuffer(current).copy(), dt=dt))
+            return corrected_film(chain, out, dt, corrections)
+
+        return film
+
+    def respond(
+        self,
+        current: Floats,
+        dt: float,
+        *,
+        effects: Mapping[str, Mapping[str, float | str]] | None = None,
+        thermal: Mapping[str, float] | None = None,
+        settled: bool = False,
+        fine: bool = True,
+    ) -> Response:
+        """Simulate without noise.
+
+        Parameters
+        ----------
+        current : (n,) what drives the device [A]
+        dt : sample period [s]
+        effects : what is added
+        thermal : values that replace those of the model, by name as in `THERMAL`
+        settled : whether the device had come to rest at the first current before, instead of at no current
+        fine : take several steps a sample where it counts what happens in between
+        """
+        chain = _noiseless(self.model.simulation)
+        c = chain.coefficients.copy()
+        for name, value in (thermal or {}).items():
+            c[THERMAL[name]] = value
+        chain = replace(chain, coefficients=c)
+        if effects:
+            chain = chain.with_effects(effects)
+        chain, grids = _without_rounding(chain)
+        lead = 0
+        if settled:
+            lead = int(np.ceil(10 * (c[Coefficient.TIME_CONSTANT] + c[Coefficient.DEAD_TIME]) / dt))
+            current = np.concatenate([np.full(lead, current[0]), current])
+        steps = FINE if fine and _between_samples(chain.coefficients, dt) else 1
+        if steps > 1:
+            current, dt = np.repeat(current, steps), dt / steps
+        # a candidate may drive the simulation out of anything physical: it must only look very wrong
+        if self.corrections:
+            alone = film_alone(chain.coefficients)
+            film = self._films(alone.tobytes(), current.tobytes(), dt)
+            out = _finite(carried(chain, film, dt, every=steps))
+        else:
+            out = _bounded(chain.run(current, dt=dt))[steps - 1 :: steps]
+        temperature = out[:, 5].clip(-1e4, 1e4)
+        found = {}
+        for k, channel in enumerate(CHANNELS):
+            if channel == STAGE_TEMPERATURE and not preset(self.device).measures_temperature:
+                continue
+            values = out[:, k]
+            if channel in grids:
+                values = rounded_with_noise(values, grids[channel], self._noise_of(channel, values))
+            found[channel] = np.log10(np.maximum(values, 1e-3)) if channel == RESISTANCE else values
+        return Response({k: v[lead:] for k, v in found.items()}, temperature[lead:])
+
+
+def rounded_with_noise(values: Floats, step: float, noise: Floats) -> Floats:
+    """Mean of step round((x + n) / step) over Gaussian noise n: what a coarse converter shows of x on average.
+
+    x + step / pi sum_m (-1)^m / m exp(-2 (pi m s / step)^2) sin(2 pi m x / step), s the noise: the Fourier series of the
+    staircase, damped as noise damps each tone. Without noise it is the staircase.
+
+    Parameters
+    ----------
+    values : (n,) x
+    step : distance of neighbouring values
+    noise : (n,) standard deviations
+    """
+    share = np.maximum(noise / step, 0.02)  # below, forty tones would not do
+    out = values.copy()
+    phase = 2.0 * np.pi * values / step
+    for m in range(1, TONES + 1):
+        damping = np.exp(-2.0 * (np.pi * m * share) ** 2)
+        out += step / np.pi * (-1.0) ** m / m * damping * np.sin(m * phase)
+    return out
+
+
+def _without_rounding(chain: Simulation) -> tuple[Simulation, dict[str, float]]:
+    """The same chain with fine converters, and the steps of the coarse ones."""
+    places = {channel: sensor_index(channel, Sensor.STEP) for channel in CHANNELS}
+    grids = {
+        channel: float(chain.coefficients[k]) for channel, k in places.items() if chain.coefficients[k] > 0
+    }
+    if not grids:
+        return chain, {}
+    c = chain.coefficients.copy()
+    c[list(places.values())] = 0.0
+    return replace(chain, coefficients=c), grids
+
+
+def _between_samples(c: Floats, dt: float) -> bool:
+    """Whether what happens between two samples counts: a late or slow sensor or a fast mode feels it, a slow driver makes it."""
+    late = [sensor_index(channel, sensor) for channel in CHANNELS for sensor in (Sensor.LAG, Sensor.CLOCK)]
+    rings = c[Coefficient.MODE_SHARE] != 0.0 and c[Coefficient.MODE_FREQUENCY] * dt > RINGING
+    return bool(np.any(c[late] > 0.0) or c[Coefficient.SLEW] < HUGE or rings)
+
+
+def basis_of(device: str) -> EnrichmentBasis:
+    """Basis of the loop-shape correction of a device, placed where its preset's domains are."""
+    nominal = preset(device)
+    heating, width = nominal.heating, nominal.width
+    cold, hot = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
+    return EnrichmentBasis(
+        typical_centre=(heating[0] - 0.5 * width[0], heating[1]),
+        typical_half_width=(0.5 * width[0], 0.5 * width[1]),
+        temperature_degc=(min(cold, nominal.ambient) - 5.0, hot + 10.0),
+    )
+
+
+def loop_ends(device: str) -> tuple[float, float]:
+    """Temperatures [degC] below and above which a device of this kind has next to no memory."""
+    nominal = preset(device)
+    spread = 2.5 * nominal.heating[1]
+    return nominal.heating[0] - nominal.width[0] - spread, nominal.heating[0] + spread
+
+
+def span_of(device: str) -> dict[str, float]:
+    """Range of each channel of a device in judged units: what shares of range divide by."""
+    nominal = preset(device)
+    low, high = nominal.resistance_range
+    currents = nominal.operating_range
+    temperatures = [nominal.steady_temperature(i) for i in currents]
+    return {
+        HEATER_CURRENT: abs(currents[1] - currents[0]),
+        RESISTANCE: float(np.log10(high / low)),
+        TIP_DEFLECTION: nominal.deflection_range,
+        STAGE_TEMPERATURE: abs(temperatures[1] - temperatures[0]),
+    }
+
+
+def _finite(out: Floats) -> Floats:
+    if not (
+        float(np.min(out, initial=0.0)) > -1e9 and float(np.max(out, initial=0.0)) < 1e9
+    ):  # not a number, too
+        out = np.nan_to_num(out, nan=1e9, posinf=1e9, neginf=-1e9).clip(-1e9, 1e9)
+    return out
+
+
+def _bounded(out: Floats) -> Floats:
+    out = _finite(out)
+    np.clip(out[:, 5], -1e3, 1e4, out=out[:, 5])
+    np.clip(out[:, 7:9], -1e3, 1e3, out=out[:, 7:9])
+    return out
+
+
+def _noiseless(chain: Simulation) -> Simulation:
+    """The same chain with quiet sensors."""
+    c = chain.coefficients.copy()
+    for channel in CHANNELS:
+        for coefficient in (Sensor.NOISE, Sensor.NOISE_RELATIVE):
+            c[sensor_index(channel, coefficient)] = 0.0
+    return replace(chain, coefficients=c)

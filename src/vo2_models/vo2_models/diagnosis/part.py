@@ -1,0 +1,150 @@
+"""One recording made ready: on a regular grid, in judged units, with what is missing marked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.device import preset
+from vo2_models.diagnosis.nominal import Nominal, drive_of, judged
+from vo2_models.diagnosis.reading import as_commanded
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
+
+__all__ = ["Part", "prepare", "regular", "value_step"]
+
+Floats = NDArray[np.float64]
+BLIND = 3
+"""Missing samples in a row after which the memory of the loops may be another."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One recording, ready.
+
+    Attributes
+    ----------
+    name : for messages
+    time_s : (n,) regular [s]
+    dt : sample period [s]
+    current : (n,) what drives the simulation [A]
+    channels : the channels that are compared
+    observed : channel -> (n,) in judged units
+    valid : channel -> (n,) whether the sample counts
+    settled : whether the device was at rest at the first current before
+    comb : channel -> distance of neighbouring values, where its converter is coarser than its noise
+    blind : gaps so long that the film may have been anywhere meanwhile, each from its first to behind its last sample
+    """
+
+    name: str
+    time_s: Floats
+    dt: float
+    current: Floats
+    channels: tuple[str, ...]
+    observed: Mapping[str, Floats]
+    valid: Mapping[str, NDArray[np.bool_]]
+    settled: bool = False
+    comb: Mapping[str, float] = field(default_factory=dict)
+    blind: tuple[tuple[int, int], ...] = ()
+
+    def comb_level(self, channel: str) -> Floats | float:
+        """Standard deviation that a coarse converter adds, in judged units: step / sqrt(12)."""
+        step = self.comb.get(channel, 0.0) / np.sqrt(12.0)
+        if not step or channel != RESISTANCE:
+            return step
+        return step / (np.log(10.0) * 10.0 ** self.observed[channel])
+
+    @property
+    def size(self) -> int:
+        """Number of samples."""
+        return int(self.time_s.size)
+
+
+def regular(recording: Recording) -> Recording:
+    """Return the recording on the grid of its sample period, NaN where a sample is missing."""
+    dt = recording.sample_period_s
+    place = np.rint((recording.time_s - recording.time_s[0]) / dt).astype(np.intp)
+    if place[-1] == place.size - 1:
+        return recording
+    kept, first = np.unique(place, return_index=True)
+    size = int(kept[-1]) + 1
+    channels = {}
+    for name, values in recording.channels.items():
+        channels[name] = np.full(size, np.nan)
+        channels[name][kept] = values[first]
+    return Recording(recording.time_s[0] + np.arange(size) * dt, channels, recording.device)
+
+
+def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") -> Part:
+    """Make a recording ready for comparison with the nominal simulation.
+
+    Raises
+    ------
+    ValueError : no current, or neither resistance nor deflection.
+    """
+    if HEATER_CURRENT not in recording:
+        raise ValueError(
+            f"{name}: found channels {', '.join(recording.channels) or 'none'}, need heater_current"
+        )
+    recording = regular(recording)
+    current, own = drive_of(recording)
+    blind = _longest_blind(recording[HEATER_CURRENT], nominal, recording.sample_period_s)
+    laws = {RESISTANCE: nominal.model.resistance.present, TIP_DEFLECTION: nominal.model.deflection.present}
+    wanted = [c for c in (RESISTANCE, TIP_DEFLECTION) if laws[c] and c in recording]
+    if not wanted:
+        raise ValueError(
+            f"{name}: found channels {', '.join(recording.channels)}, need film_resistance or tip_deflection"
+        )
+    if STAGE_TEMPERATURE in recording and preset(nominal.device).measures_temperature:
+        wanted.append(STAGE_TEMPERATURE)
+    if own and HEATER_CURRENT in nominal.noise:
+        wanted.insert(0, HEATER_CURRENT)
+    observed, valid = {}, {}
+    for channel in wanted:
+        values = judged(channel, recording[channel])
+        if channel == HEATER_CURRENT and nominal.digest:
+            values = as_commanded(values, nominal.digest.current_reading)
+        good = np.isfinite(values)
+        if np.count_nonzero(good) < 100:
+            continue
+        observed[channel] = np.where(good, values, 0.0)
+        valid[channel] = good
+    if not observed:
+        raise ValueError(f"{name}: no channel has 100 finite samples")
+    comb = {}
+    for channel in observed:
+        raw = recording[channel][valid[channel]]
+        step = value_step(raw)
+        size = step / (np.log(10) * float(np.quantile(raw, 0.1))) if channel == RESISTANCE else step
+        if channel in nominal.noise and size > 2.0 * nominal.noise[channel].level:
+            comb[channel] = step
+    dt = recording.sample_period_s
+    return Part(name, recording.time_s, dt, current, tuple(observed), observed, valid, comb=comb, blind=blind)
+
+
+def _longest_blind(logged: Floats, nominal: Nominal, dt: float) -> tuple[tuple[int, int], ...]:
+    """First and last sample, beyond which nothing is missing, of gaps in which the film could go anywhere and back."""
+    missing = np.concatenate([[False], ~np.isfinite(logged), [False]])
+    begin, end = (
+        np.flatnonzero(np.diff(missing.astype(int)) == 1),
+        np.flatnonzero(np.diff(missing.astype(int)) == -1),
+    )
+    long = max(BLIND, 0.5 * nominal.model.scalars["thermal.time_constant"] / dt)
+    return tuple((int(b), int(e)) for b, e in zip(begin, end, strict=True) if e - b > long)
+
+
+def value_step(values: Floats) -> float:
+    """Distance of neighbouring values if all lie on a comb, else 0.
+
+    A comb is told from chance by values that repeat and lie, all of them, at multiples of one distance.
+    """
+    distinct = np.unique(values)
+    if distinct.size < 3 or distinct.size > 0.8 * values.size:
+        return 0.0
+    gaps = np.diff(distinct)
+    gaps = gaps[gaps > 1e-6 * np.max(gaps)]
+    step = float(np.median(gaps[gaps < 1.5 * np.min(gaps)]))
+    place = distinct / step
+    return step if float(np.max(np.abs(place - np.rint(place)))) < 0.05 else 0.0

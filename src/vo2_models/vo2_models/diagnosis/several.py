@@ -1,0 +1,268 @@
+"""More than one effect: a second beside the first, and each of the two tried anew beside the other.
+
+The first name was chosen as if it were alone, so it may stand for something that resembles both truths. Once a
+second is found, every effect is tried in the place of the first, then again in that of the second, until the pair
+stays: what is named is the pair that explains most, not the first and what suits it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.diagnosis.decide import Thresholds
+from vo2_models.diagnosis.evidence import Evidence, gather
+from vo2_models.diagnosis.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
+from vo2_models.diagnosis.hypotheses import Hypothesis, windowed
+from vo2_models.diagnosis.nominal import Nominal
+from vo2_models.diagnosis.side_by_side import side_by_side
+
+__all__ = ["Option", "bend", "option_of", "pair_of", "trace"]
+
+Floats = NDArray[np.float64]
+Tick = Callable[[], None]
+PARTNERS = 5
+"""Effects that are refitted beside another, the most promising ones."""
+BRIEF_BESIDE = 2
+"""Iterations after which a refit beside another effect shows whether it is worth going on."""
+HOPELESS = 0.5
+"""Share of what makes a second effect count below which no exchange is tried."""
+EXCHANGES = 3
+"""So often one of the two is tried anew beside the other."""
+NEARLY = 0.25
+"""Excess, in what the best pair leaves, by which a pair may miss it and still be worth an exchange."""
+FREE = 20.0
+"""Standard deviation with which the parameters of the other may move while partners are scored, in their steps."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """One or two effects that may be the answer.
+
+    Attributes
+    ----------
+    final : the problem about them
+    chosen : the explanation
+    rivals : the same number of effects with one replaced, best first
+    remaining : excess power over noise power that they leave
+    """
+
+    final: Evidence
+    chosen: Explanation
+    rivals: tuple[Explanation, ...]
+    remaining: float
+
+
+def trace(final: Evidence) -> Floats:
+    """What the effects that the problem is about change in the recording, (N,) whitened, without noise."""
+    plain = replace(final, included={})
+    return -plain.stack(plain.responses({}), final.nominal_responses)
+
+
+def bend(option: Option) -> float:
+    """Largest drop of q from letting an effect that is straight in time bend: its change times 1, t and t^2, t the time.
+
+    0 where no effect of the explanation is straight.
+    """
+    final, chosen = option.final, option.chosen
+    residual = final.residual - chosen.deviation
+    rest = final.left(residual)
+    time = np.empty(final.weight.size)
+    for row, part, _ in final.iterate():
+        time[row.where] = np.linspace(0.0, 1.0, part.size)
+    found = 0.0
+    for hypothesis in chosen.hypotheses:
+        if not hypothesis.record.straight:
+            continue
+        without = replace(final, included={k: v for k, v in final.included.items() if k != hypothesis.key})
+        own = -without.stack(without.responses({}), final.nominal_responses)
+        columns = own[:, None] * time[:, None] ** np.arange(3)
+        gram = columns.T @ final.left(columns)
+        against = columns.T @ rest
+        found = max(found, float(against @ np.linalg.pinv(gram, hermitian=True) @ against))
+    return found
+
+
+def option_of(
+    nominal: Nominal,
+    evidence: Evidence,
+    best: Explanation,
+    rivals: Sequence[Explanation],
+    *,
+    tick: Tick = lambda: None,
+) -> Option:
+    """Return an explanation, fitted once more, with the problem about it.
+
+    Parameters
+    ----------
+    nominal : without corrections
+    evidence : the problem about the simulation without effects, which gains are told against
+    best : the explanation
+    rivals : what else was tried
+    tick : called once per simulation
+    """
+    final, chosen = _about(nominal, evidence, best, tick)
+    remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0
+    return Option(final, chosen, tuple(rivals), remaining)
+
+
+def _about(
+    nominal: Nominal, evidence: Evidence, best: Explanation, tick: Tick
+) -> tuple[Evidence, Explanation]:
+    """Build the problem about an explanation and fit it once more there."""
+    final = gather(
+        nominal,
+        evidence.parts,
+        shift=best.shift,
+        effects=best.effects,
+        shapes=evidence.shapes,
+        loops=evidence.loops,
+    )
+    again = fit_jointly(final, best.hypotheses, best.values, iterations=6, tick=tick)
+    return final, replace(again, gain=evidence.q - again.chi_square)
+
+
+def pair_of(
+    nominal: Nominal,
+    evidence: Evidence,
+    alone: Option,
+    candidates: Sequence[Hypothesis],
+    limits: Thresholds,
+    *,
+    tick: Tick = lambda: None,
+) -> Option | None:
+    """Look for two effects that explain more than the first alone; None if no other is worth it.
+
+    What an equation that is not quite right leaves over resembles what it explains: a second effect must
+    explain most of what is left, and must not act like the first, unless it leaves next to nothing.
+
+    Parameters
+    ----------
+    nominal : without corrections
+    evidence : the problem about the simulation without effects
+    alone : the best single effect
+    candidates : all hypotheses
+    limits : when a second effect counts
+    tick : called once per simulation
+    """
+    about, first = alone.final, alone.chosen
+    before = about.chi_square(about.residual - first.deviation)
+    found = [(about, joint) for joint in _joined(about, first, candidates, limits, tick)]
+    if not found:
+        return None
+    if before - found[0][1].chi_square < HOPELESS * limits.second * (before - about.count):
+        return None
+    waiting = _untried([joint for _, joint in found], about.count, limits)
+    tried = {first.keys[0]}
+    for _ in range(EXCHANGES):
+        key = next((key for key in waiting if key not in tried), None)
+        if key is None:
+            break
+        tried.add(key)
+        one = fit_jointly(evidence, *waiting[key], iterations=BRIEF, tick=tick)
+        there, kept = _about(nominal, evidence, one, tick)
+        fresh = _joined(there, kept, candidates, limits, tick)
+        found += [(there, joint) for joint in fresh]
+        waiting |= _untried(fresh, about.count, limits)
+    found.sort(key=lambda item: item[1].chi_square)
+    where, best = _simplest(found, limits)
+    drop, leftover = before - best.chi_square, before - about.count
+    least = min(limits.least(h) for h in best.hypotheses)
+    if drop < max(least, limits.second * leftover):
+        return None
+    thorough = leftover > limits.gain and drop > limits.thorough * leftover
+    small = drop < limits.second_of_all * _excess_there(evidence, where, best)
+    if not thorough and (small or _alike(where, best) > limits.alike):
+        return None
+    rivals = {frozenset(joint.keys): joint for _, joint in reversed(found)}
+    ranked = sorted(rivals.values(), key=lambda e: e.chi_square)
+    return option_of(nominal, evidence, best, ranked, tick=tick)
+
+
+def _untried(
+    joints: Sequence[Explanation], count: int, limits: Thresholds
+) -> dict[str, tuple[list[Hypothesis], list[dict[str, float]]]]:
+    """Each effect of the best of these pairs and of those that nearly reach it, alone: key -> hypothesis and values."""
+    lowest = joints[0].chi_square if joints else 0.0
+    near = [j for j in joints if j.chi_square < lowest + NEARLY * max(lowest - count, 0.0) + limits.rival]
+    alone: dict[str, tuple[list[Hypothesis], list[dict[str, float]]]] = {}
+    for joint in near:
+        for key, hypothesis, values in zip(joint.keys, joint.hypotheses, joint.values, strict=True):
+            alone.setdefault(key, ([hypothesis], [values]))
+    return alone
+
+
+def _joined(
+    about: Evidence,
+    first: Explanation,
+    candidates: Sequence[Hypothesis],
+    limits: Thresholds,
+    tick: Tick,
+) -> list[Explanation]:
+    """Refit the most promising partners of an effect together with it, best first.
+
+    Partners are scored by what neither the base nor other values of the first effect could explain.
+    """
+    residual = about.residual - first.deviation
+    left = about.left(residual)
+    others = [windowed(about, h, left) for h in candidates if h.key not in first.keys]
+    base = replace(about.base, thermal=np.hstack([FREE * first.tangent, about.base.thermal]))
+    scores = score(replace(about, base=base), others, residual, tick=tick)
+    promising = [s for s in scores if s.gain > _least(s, scores, limits)][:PARTNERS]
+
+    def refitted(s: Score) -> Explanation:
+        start = switched(about, s.hypothesis, s.start, residual, tick=tick)
+        both, values = [*first.hypotheses, s.hypothesis], [*first.values, start]
+        return fit_jointly(about, both, values, iterations=BRIEF_BESIDE, tick=tick)
+
+    joints = side_by_side(refitted, promising)
+    lowest = min((joint.chi_square for joint in joints), default=0.0)
+    halfway = 0.5 * (about.chi_square(residual) + lowest)
+
+    def finished(joint: Explanation) -> Explanation:
+        if joint.chi_square > halfway:  # those that may be the answer, or its rivals, to the end
+            return joint
+        return fit_jointly(about, joint.hypotheses, joint.values, iterations=8, tick=tick)
+
+    joints = side_by_side(finished, joints)
+    return sorted((j for j in joints if not j.at_bound), key=lambda e: e.chi_square)
+
+
+def _simplest(
+    found: Sequence[tuple[Evidence, Explanation]], limits: Thresholds
+) -> tuple[Evidence, Explanation]:
+    """The pair with the fewest parameters of those that fit as well as the first, within what no pair explains."""
+    lowest = found[0][1].chi_square
+    close = lowest + limits.rival + limits.tie * max(lowest - found[0][0].count, 0.0)
+    near = [(about, joint) for about, joint in found if joint.chi_square <= close]
+    return min(near, key=lambda item: (len(item[1].coordinates), item[1].chi_square))
+
+
+def _excess_there(evidence: Evidence, about: Evidence, joint: Explanation) -> float:
+    """Excess energy where the last effect acts: that of each channel, by its share of what the effect does."""
+    left = evidence.left(evidence.residual)
+    new = about.deviation(joint.hypotheses[-1].effects(joint.values[-1]))
+    total = max(float(new @ new), 1e-300)
+    found = 0.0
+    for channel in dict.fromkeys(row.channel for row in evidence.rows):
+        own = evidence.rows_of(channel)
+        excess = float(evidence.residual[own] @ left[own]) - np.count_nonzero(evidence.weight[own])
+        found += max(excess, 0.0) * float(new[own] @ new[own]) / total
+    return found
+
+
+def _least(one: Score, scores: Sequence[Score], limits: Thresholds) -> float:
+    """Score from which a partner is refitted."""
+    least = limits.least(one.hypothesis)
+    return least if one.hypothesis.evident else max(least, 0.1 * scores[0].gain)
+
+
+def _alike(about: Evidence, joint: Explanation) -> float:
+    """Absolute cosine between what the last effect does and what those before it do, the base taken out."""
+    old = trace(about)
+    new = about.deviation(joint.hypotheses[-1].effects(joint.values[-1]))
+    size = about.chi_square(old) * about.chi_square(new)
+    return float(abs(old @ about.left(new)) / np.sqrt(size)) if size > 0 else 1.0

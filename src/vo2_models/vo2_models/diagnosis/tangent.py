@@ -1,0 +1,108 @@
+"""The tangent of the base, kept in blocks: a loop-shape column is zero outside its own channel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.diagnosis.side_by_side import side_by_side
+
+__all__ = ["Tangent"]
+
+Floats = NDArray[np.float64]
+FEW = 8
+"""Vectors up to which BLAS is quicker with the long matrix on the right."""
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Whitened (N, k) matrix: columns of each channel's loop shape, then the thermal columns.
+
+    Attributes
+    ----------
+    blocks : (rows of a channel, (n, k_c) loop columns there); the rows are stacked channel by channel
+    thermal : (N, t) columns that reach every channel
+    """
+
+    blocks: tuple[tuple[slice, Floats], ...]
+    thermal: Floats
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(N, k)."""
+        return self.thermal.shape[0], self._end + self.thermal.shape[1]
+
+    @property
+    def _end(self) -> int:
+        return sum(block.shape[1] for _, block in self.blocks)
+
+    def _places(self) -> Sequence[tuple[slice, Floats, slice]]:
+        found, start = [], 0
+        for rows, block in self.blocks:
+            found.append((rows, block, slice(start, start + block.shape[1])))
+            start += block.shape[1]
+        return found
+
+    def gram(self) -> Floats:
+        """Return B'B, (k, k)."""
+        end, size = self._end, self.shape[1]
+        out = np.zeros((size, size))
+        out[end:, end:] = self.thermal.T @ self.thermal
+        places = self._places()
+        squares = side_by_side(lambda place: place[1].T @ place[1], places)
+        for (rows, block, own), square in zip(places, squares, strict=True):
+            out[own, own] = square
+            cross = block.T @ self.thermal[rows]
+            out[own, end:] = cross
+            out[end:, own] = cross.T
+        return out
+
+    def against(self, vectors: Floats) -> Floats:
+        """Return B'v for v (N,) or (N, p)."""
+        out = np.zeros((self.shape[1], *vectors.shape[1:]))
+        for rows, block, own in self._places():
+            there = vectors[rows]
+            if there.any():  # an effect often leaves a channel as it is
+                out[own] = _product(block, there)
+        out[self._end :] = np.dot(self.thermal.T, vectors)
+        return out
+
+    def against_rows(self, rows: slice, vectors: Floats) -> Floats:
+        """Return B'v for v that is zero but at the rows of one channel, where it is (n, p)."""
+        out = np.zeros((self.shape[1], *vectors.shape[1:]))
+        for own_rows, block, own in self._places():
+            if own_rows == rows:
+                out[own] = block.T @ vectors
+        out[self._end :] = self.thermal[rows].T @ vectors
+        return out
+
+    def times(self, weights: Floats) -> Floats:
+        """Return B w for w (k,) or (k, p)."""
+        out = self.thermal @ weights[self._end :]
+        for rows, block, own in self._places():
+            out[rows] += block @ weights[own]
+        return np.asarray(out)
+
+    def times_rows(self, rows: slice, weights: Floats) -> Floats:
+        """Return the rows of one channel of B w."""
+        out = self.thermal[rows] @ weights[self._end :]
+        for own_rows, block, own in self._places():
+            if own_rows == rows:
+                out += block @ weights[own]
+        return np.asarray(out)
+
+    def restricted(self, keep: NDArray[np.bool_]) -> Tangent:
+        """The same with the rows that do not count set to zero."""
+        blocks = tuple((rows, block * keep[rows, None]) for rows, block in self.blocks)
+        return Tangent(blocks, self.thermal * keep[:, None])
+
+
+def _product(block: Floats, vectors: Floats) -> Floats:
+    """Return A'v for A (n, k), v (n,) or (n, p)."""
+    # with `dot`, as `@` keeps Python's lock where the result is short; a few vectors are half the work from the left
+    if vectors.ndim == 2 and vectors.shape[1] <= FEW:
+        return np.asarray(np.dot(vectors.T, block).T)
+    return np.asarray(np.dot(block.T, vectors))

@@ -1,0 +1,62 @@
+"""The Preisach family: operator, inverses, identification, compressive sensing, compression.
+
+- `operator`, `memory`, `grid`: the operator with piecewise-constant density, its state, its cells;
+  `kernels` holds the compiled step, for other compiled loops
+- `inverse`: the exact inverse of a monotone operator
+- `nonmonotonic`, `nonmonotonic_inverse`, `beam`, `polynomial`: chapter 5
+- `signed_area`, `damped`, `everett_rows`, `least_squares`, `nnls`, `interior_point`, `smooth_fit`: identification, at any
+  level, of densities that are not negative or of either sign
+- `compressive_sensing`, `basis_pursuit`: identification from few measurements, chapter 4
+- `compression`: coarser grids with least loss of information, chapter 2
+- `monte_carlo`, `compressive_device_study`, `compression_study`, `nonmonotonic_study`, `measured_study`: the
+  comparisons of chapters 2, 4 and 5 and the measured recordings; each is a command, `python -m ...`
+
+Nothing is loaded before it is used:
+
+>>> import numpy as np
+>>> from vo2_models.identification.excitation import damped_oscillation
+>>> from vo2_models.hysteresis.preisach import PreisachInverse, PreisachOperator, fit_preisach
+>>> walls = np.linspace(30.0, 80.0, 11)
+>>> device = PreisachOperator(walls, np.full(55, 0.01), bias=2.0)
+>>> temperature = damped_oscillation(walls)
+>>> found = fit_preisach(temperature, device(temperature), walls)
+>>> bool(np.max(np.abs(found.operator.density - device.density)) < 1e-12)
+True
+>>> drive, state = PreisachInverse(found.operator), found.operator.saturated()
+>>> degc, reached = drive.update(2.0, state)
+>>> round(degc, 3), reached
+(65.355, True)
+"""
+
+from importlib import import_module
+from typing import Any
+
+_HOME = {
+    "Compression": "compression",
+    "NonMonotonicInverse": "nonmonotonic_inverse",
+    "NonMonotonicPreisach": "nonmonotonic",
+    "PreisachFit": "least_squares",
+    "PreisachInverse": "inverse",
+    "PreisachOperator": "operator",
+    "PreisachState": "memory",
+    "compress": "compression",
+    "fit_nonmonotonic": "nonmonotonic",
+    "fit_polynomial": "polynomial",
+    "fit_preisach": "least_squares",
+    "fit_smooth": "smooth_fit",
+    "identify_compressed": "compressive_sensing",
+    "identify_preisach_compressed": "compressive_sensing",
+    "signed_area_matrix": "signed_area",
+}
+
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

@@ -1,0 +1,134 @@
+"""Non-monotonic hysteresis: a Preisach operator minus thermal expansion that depends on the phase, chapter 5."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vo2_models.hysteresis.preisach.grid import cell_count, checked_walls
+from vo2_models.hysteresis.preisach.memory import PreisachState
+from vo2_models.hysteresis.preisach.nnls import RankDeficientError, nonnegative_least_squares
+from vo2_models.hysteresis.preisach.operator import PreisachOperator
+from vo2_models.hysteresis.preisach.signed_area import signed_area_matrix
+from vo2_models.validation import finite_array
+
+__all__ = ["NonMonotonicPreisach", "fit_nonmonotonic", "phase_fraction"]
+
+Floats = NDArray[np.float64]
+
+
+def phase_fraction(temperature: Floats, low: float, high: float) -> Floats:
+    """Return theta of (5.6): the share of the high-temperature phase, linear between `low` and `high`."""
+    return np.clip((temperature - low) / (high - low), 0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class NonMonotonicPreisach:
+    """kappa = Gamma[T] - (k0 (1 - theta(T)) + k1 theta(T)) (T - T0): (5.8), with the sign of (5.7).
+
+    The bias c_0 is the operator's. The printed (5.8) has a plus before k1; (5.7) and (5.12) have the minus that
+    the physics needs. theta runs from 0 to 1 over the operator's grid [T_min, T_max].
+
+    Parameters
+    ----------
+    operator : Gamma; the state is its state
+    k0, k1 : expansion of the low- and high-temperature phase [output unit / K]
+    reference : T0, where the expansion is zero [degC]
+
+    Examples
+    --------
+    >>> operator = PreisachOperator([30.0, 50.0, 70.0], np.full(3, 0.5))
+    >>> model = NonMonotonicPreisach(operator, k0=2.0, k1=4.0)
+    >>> state = operator.saturated()
+    >>> [model.update(t, state) for t in (25.0, 70.0, 90.0, 50.0)]
+    [-410.0, 200.0, 120.0, 110.0]
+    """
+
+    operator: PreisachOperator
+    k0: float
+    k1: float
+    reference: float = 20.0
+    parabola: tuple[float, float, float] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("k0", "k1", "reference"):
+            object.__setattr__(self, name, float(finite_array(getattr(self, name), name, ndim=0)))
+        low, high = self.operator.walls[[0, -1]]
+        rate = (self.k1 - self.k0) / (high - low)
+        # -(k0 + rate (T - low)) (T - T0), expanded: Q of (5.15)
+        constant = (self.k0 - rate * low) * self.reference
+        linear = -(self.k0 - rate * low) + rate * self.reference
+        object.__setattr__(self, "parabola", (float(constant), float(linear), float(-rate)))
+
+    @classmethod
+    def with_linear_term(cls, operator: PreisachOperator, slope: float) -> NonMonotonicPreisach:
+        """Return mu_0 + c_d v + Preisach, (4.19): the same expansion in both phases."""
+        return cls(operator, -slope, -slope, 0.0)
+
+    def expansion(self, temperature: ArrayLike) -> Floats:
+        """Return the memoryless part kappa_E (5.7) at `temperature` [degC], any shape."""
+        t = np.asarray(temperature, dtype=np.float64)
+        theta = phase_fraction(t, *self.operator.walls[[0, -1]])
+        return -(self.k0 * (1 - theta) + self.k1 * theta) * (t - self.reference)
+
+    def update(self, temperature: float, state: PreisachState) -> float:
+        """Apply one temperature [degC] and return the output; `state` changes in place."""
+        low, high = self.operator.walls[0], self.operator.walls[-1]
+        theta = min(max((temperature - low) / (high - low), 0.0), 1.0)
+        expansion = -(self.k0 * (1 - theta) + self.k1 * theta) * (temperature - self.reference)
+        return float(self.operator.update(temperature, state) + expansion)
+
+    def update_devices(self, temperature: ArrayLike, state: PreisachState) -> Floats:
+        """Apply one temperature [degC] to each device and return the outputs (devices,); `state` changes in place."""
+        return self.operator.update_devices(temperature, state) + self.expansion(temperature)
+
+    def run(self, temperature: ArrayLike, state: PreisachState) -> tuple[Floats, PreisachState]:
+        """Apply temperatures (n,) or (devices, n); return outputs and the state, which changes in place."""
+        out, state = self.operator.run(temperature, state)
+        return out + self.expansion(temperature), state
+
+    def __call__(self, temperature: ArrayLike, state: PreisachState | None = None) -> Floats:
+        """Return the output under `temperature`, from `state` (not changed) or negative saturation."""
+        return self.operator(temperature, state) + self.expansion(temperature)
+
+
+def fit_nonmonotonic(
+    temperature: ArrayLike,
+    output: ArrayLike,
+    walls: ArrayLike,
+    *,
+    reference: float = 20.0,
+    history: ArrayLike | None = None,
+) -> NonMonotonicPreisach:
+    """Least squares for densities, k0, k1 >= 0 and a free bias: section 5.3.1.
+
+    Parameters
+    ----------
+    temperature, output : (n,) quasi-static recording, from negative saturation or after `history`. It must
+        go below and above the transition region, where only the expansion acts.
+    walls : (L + 1,) grid over the transition region [T_min, T_max]
+    reference : T0 of (5.7)
+
+    Raises
+    ------
+    ValueError : not finite, shapes differ, or an input that cannot tell the unknowns apart.
+    """
+    grid = checked_walls(walls)
+    t = finite_array(temperature, "temperature")
+    u = finite_array(output, "output", size=t.size)
+    cells = cell_count(grid.size - 1)
+    theta = phase_fraction(t, grid[0], grid[-1])
+    slopes = np.stack([(1 - theta) * (reference - t), theta * (reference - t)], axis=1)
+    matrix = np.hstack([signed_area_matrix(t, grid, history=history), slopes])
+    free = np.arange(matrix.shape[1]) == cells
+    try:
+        w = nonnegative_least_squares(matrix, u, free)
+    except RankDeficientError as error:
+        raise ValueError(
+            f"temperature: found too little excitation ({error}), need damped oscillations over the walls and samples "
+            "on either side of them"
+        ) from error
+    operator = PreisachOperator(grid, w[:cells], float(w[cells]))
+    return NonMonotonicPreisach(operator, float(w[cells + 1]), float(w[cells + 2]), reference)

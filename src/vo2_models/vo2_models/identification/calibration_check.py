@@ -1,0 +1,157 @@
+"""Whether recordings can calibrate a device, and whether a fit to them is one: a model of nonsense must not be written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.device.presets import preset
+from vo2_models.diagnosis.nominal import judged
+from vo2_models.identification.plausibility import impossible, unusual
+from vo2_models.recording import (
+    COMMANDED_CURRENT,
+    HEATER_CURRENT,
+    RESISTANCE,
+    STAGE_TEMPERATURE,
+    TIP_DEFLECTION,
+    Recording,
+)
+
+if TYPE_CHECKING:
+    from vo2_models.identification.device_fit import FitResult
+
+__all__ = ["check_calibration", "judge_fit", "noise_level"]
+
+_MEASURED = (RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
+_SHORTEST = 500
+_MOST_MISSING = 0.5
+_LEAST_EXPLAINED = 0.5
+_POOR_SHARE = 0.01
+_POOR_NOISE = 5.0
+_RETURN = 0.1
+
+
+def check_calibration(
+    recordings: Sequence[Recording], device: str, *, names: Sequence[str] = ()
+) -> tuple[list[Recording], list[str]]:
+    """Return the recordings without the channels that hold nothing, and what is doubtful about them.
+
+    Parameters
+    ----------
+    recordings : in the units of a recording (A, ohm, m, degC)
+    device : preset id
+    names : of the recordings, for the messages
+
+    Raises
+    ------
+    ValueError : too few samples, values that the device cannot have, a clock that it cannot have; one line.
+    """
+    checked, notes = [], []
+    nominal = preset(device)
+    for k, recording in enumerate(recordings):
+        name = names[k] if k < len(names) else f"recording {k + 1}"
+        if len(recording) < _SHORTEST:
+            raise ValueError(f"{name}: found {len(recording)} samples, need at least {_SHORTEST}")
+        if found := impossible(recording, device):
+            raise ValueError(f"{name}: {'; '.join(found)}")
+        if recording.sample_period_s < nominal.shortest_period / 2:
+            raise ValueError(
+                f"{name}: found a sample every {recording.sample_period_s:.3g} s, need at least "
+                f"{nominal.shortest_period / 2:.3g} s for device {device}; check the time column and its unit"
+            )
+        empty = [
+            channel for channel in _MEASURED if channel in recording and not _usable(recording, channel).any()
+        ]
+        notes += [f"{name}: {text}" for text in unusual(recording, device)]
+        notes += [f"{name}: {channel} has no value at all and is left out" for channel in empty]
+        notes += [f"{name}: {text}" for text in _missing(recording, empty)]
+        kept = {channel: values for channel, values in recording.channels.items() if channel not in empty}
+        checked.append(replace(recording, channels=kept))
+    if text := _one_way(checked, hot_is_high=nominal.operating_range[1] > nominal.operating_range[0]):
+        notes.append(text)
+    return checked, notes
+
+
+def judge_fit(result: FitResult, recordings: Sequence[Recording]) -> list[str]:
+    """Return what is poor about a fit, one sentence each.
+
+    Raises
+    ------
+    ValueError : a channel of which the fit explains less than half of the variance; one line.
+    """
+    notes = []
+    for channel, sensor in result.model.sensors.items():
+        values = np.concatenate([judged(channel, r[channel]) for r in recordings if channel in r])
+        values = values[np.isfinite(values)]
+        unit, factor = {RESISTANCE: ("log10 ohm", 1.0), TIP_DEFLECTION: ("um", 1e6)}.get(channel, ("K", 1.0))
+        explained = 1.0 - sensor.residual**2 / max(float(np.var(values)), 1e-300)
+        size = f"{factor * sensor.residual:.3g} {unit} r.m.s. are left of a span of {factor * np.ptp(values):.3g}"
+        if explained < _LEAST_EXPLAINED:
+            raise ValueError(
+                f"{channel} does not follow this current in a loop: the best one explains {100 * max(explained, 0.0):.0f} % "
+                f"of its variance ({size}), need {100 * _LEAST_EXPLAINED:.0f} %; check the current's and the time's "
+                "unit, that the columns belong together, and that the device was heated through its transition; or "
+                "leave the channel out"
+            )
+        noise = noise_level(channel, sensor.noise)
+        if sensor.residual > max(_POOR_NOISE * noise, _POOR_SHARE * float(np.ptp(values))):
+            notes.append(
+                f"{channel} is fitted poorly: {size}, at a noise of {factor * noise:.2g}; look for gaps, jumps or a "
+                "wrong clock in the recording before you trust this model"
+            )
+    return notes
+
+
+def noise_level(channel: str, noise: float) -> float:
+    """Return a sensor's noise in the unit in which the channel's residual is given (log10 ohm for the resistance)."""
+    return noise / float(np.log(10.0)) if channel == RESISTANCE else noise
+
+
+def _usable(recording: Recording, channel: str) -> NDArray[np.bool_]:
+    return np.isfinite(judged(channel, recording[channel]))
+
+
+def _missing(recording: Recording, empty: Sequence[str]) -> list[str]:
+    """Say which channels miss much, and that a gap hides what the current did."""
+    found = []
+    for channel in _MEASURED:
+        if channel in recording and channel not in empty:
+            share = 1.0 - float(np.mean(_usable(recording, channel)))
+            if share > _MOST_MISSING:
+                found.append(f"{channel} has no value in {100 * share:.0f} % of the samples")
+    steps = np.diff(recording.time_s)
+    gaps = steps > 1.5 * recording.sample_period_s
+    if gaps.any():
+        share = float(steps[gaps].sum() / (recording.time_s[-1] - recording.time_s[0]))
+        found.append(
+            f"{np.count_nonzero(gaps)} gaps are {100 * share:.1f} % of the time: the current is taken as held over "
+            "them, and what the loops went through meanwhile is lost"
+        )
+    return found
+
+
+def _one_way(recordings: Sequence[Recording], *, hot_is_high: bool) -> str:
+    """Say that only one branch was measured, if the current never came back by a tenth of its span."""
+    ways = set()
+    for recording in recordings:
+        name = COMMANDED_CURRENT if COMMANDED_CURRENT in recording else HEATER_CURRENT
+        if name not in recording:
+            return ""
+        current = recording[name][np.isfinite(recording[name])]
+        if not current.size:
+            return ""
+        least = _RETURN * float(np.ptp(current))
+        if least and np.max(current - np.minimum.accumulate(current)) > least:
+            ways.add(hot_is_high)
+        if least and np.max(np.maximum.accumulate(current) - current) > least:
+            ways.add(not hot_is_high)
+    if len(ways) != 1:
+        return ""
+    seen, unseen = ("heating", "cooling") if ways == {True} else ("cooling", "heating")
+    return (
+        f"the current only goes one way: the {unseen} branch is a guess from the {seen} branch; record both"
+    )

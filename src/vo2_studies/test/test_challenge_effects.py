@@ -1,0 +1,149 @@
+"""Every concealed effect: in the contract, on the channels it should reach and no other, gone at its neutral value."""
+
+import numpy as np
+import pytest
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
+from vo2_studies.challenge.catalogue import CATALOGUE, OUTSIDE, draw_effect, find
+from vo2_studies.challenge.devices import draw_device
+from vo2_studies.challenge.effect import Context
+from vo2_studies.challenge.excess import excess_by_channel
+from vo2_studies.challenge.excitation import TEST_SAMPLES, informative_current
+from vo2_studies.challenge.rig import Plan, channels_of, draw_rig_noise, log_channels, simulate
+
+CONTRACT = {
+    "cantilever_resonance",
+    "second_thermal_mode",
+    "dead_time",
+    "cooling_asymmetry",
+    "ambient_drift",
+    "nonlinear_heat_loss",
+    "latent_heat",
+    "heater_tcr",
+    "laser_heating",
+    "sense_self_heating",
+    "transition_kinetics",
+    "phase_dependent_expansion",
+    "transition_offset",
+    "minor_loop_incongruency",
+    "training_drift",
+    "creep",
+    "series_resistance",
+    "leakage_resistance",
+    "current_crosstalk",
+    "sensor_lag",
+    "sensor_gain_drift",
+    "clock_offset",
+    "adc_saturation",
+    "adc_quantization",
+    "driver_saturation",
+    "driver_slew",
+    "driver_deadzone",
+    "phase_dependent_heat_loss",
+    "peltier_joule_heating",
+    "slow_relaxation",
+    "non_hysteretic_branches",
+}
+D_ONLY = {"phase_dependent_expansion", "transition_offset", "creep", "cantilever_resonance"}
+D_ONLY |= {"mains_hum", "stiction", "interference_fringe", "duffing_spring"}
+R_ONLY = {"series_resistance", "leakage_resistance", "current_crosstalk"}
+R_ONLY |= {"humidity", "readout_temperature", "telegraph_noise", "second_inclusion"}
+NOT_STAGE = {"transition_kinetics", "minor_loop_incongruency", "training_drift", "slow_relaxation"}
+NOT_STAGE |= {"non_hysteretic_branches", "laser_heating"}
+EVERY = [(effect, preset) for effect in (*CATALOGUE, *OUTSIDE) for preset in effect.presets]
+
+
+def setup(preset, seed=2):
+    rng = np.random.default_rng(seed)
+    device = draw_device(rng, preset)
+    command = informative_current(rng, device.preset)
+    return rng, device, command
+
+
+_clean: dict = {}
+
+
+def clean_run(preset):
+    if preset not in _clean:
+        rng, device, command = setup(preset)
+        _clean[preset] = device, command, simulate(device, command, Plan()), draw_rig_noise(rng, device)
+    return _clean[preset]
+
+
+def expected_channels(effect, signal, preset):
+    name = effect.id
+    if signal is not None:
+        return {signal}
+    if name in D_ONLY:
+        return {TIP_DEFLECTION}
+    if name in R_ONLY:
+        return {RESISTANCE}
+    both = {RESISTANCE, TIP_DEFLECTION}
+    return both if preset == "integrated" or name in NOT_STAGE else both | {STAGE_TEMPERATURE}
+
+
+def test_catalogue_is_the_contracts():
+    assert {effect.id for effect in CATALOGUE} == CONTRACT
+    assert len(CATALOGUE) == len(CONTRACT) == 31
+    assert len(OUTSIDE) >= 6
+    assert not {effect.id for effect in OUTSIDE} & CONTRACT
+    assert find("peltier_joule_heating").presets == ("peltier",)
+    with pytest.raises(ValueError, match="effect"):
+        find("perpetual_motion")
+
+
+@pytest.mark.parametrize(("effect", "preset"), EVERY, ids=[f"{e.id}-{p}" for e, p in EVERY])
+def test_reaches_exactly_its_channels_and_vanishes(effect, preset):
+    device, command, clean, noise = clean_run(preset)
+    for seed in range(12):
+        context = Context(np.random.default_rng(seed), device, TEST_SAMPLES * device.preset.sample_period)
+        drawn = draw_effect(effect, context)
+        assert all(np.isfinite(value) for value, _ in drawn.parameters.values())
+        plan = Plan()
+        drawn.into(plan, context)
+        truth = simulate(device, command, plan)
+        excess = excess_by_channel(clean, truth, plan, noise)
+        reached = {name for name, value in excess.items() if value > 0}
+        assert reached <= expected_channels(effect, drawn.signal, preset)
+        if reached:
+            break
+    assert reached == expected_channels(effect, drawn.signal, preset)
+    neutral = Plan()
+    drawn.into(neutral, context, **effect.neutral)
+    gone = simulate(device, command, neutral)
+    for name in channels_of(device):
+        assert np.allclose(gone.channels[name], clean.channels[name], rtol=1e-9, atol=0)
+    assert max(excess_by_channel(clean, gone, neutral, noise).values()) < 1e-12
+
+
+def test_driver_effects_show_in_the_shunt_reading_only():
+    device, command, _, noise = clean_run("integrated")
+    plan = Plan()
+    context = Context(np.random.default_rng(3), device, 10.0)
+    draw_effect(find("driver_deadzone"), context).into(plan, context)
+    truth = simulate(device, command, plan)
+    shunt = log_channels(truth, plan, noise, np.random.default_rng(1), shunt=True)[HEATER_CURRENT]
+    set_value = log_channels(truth, plan, noise, np.random.default_rng(1), shunt=False)[HEATER_CURRENT]
+    assert np.array_equal(set_value[1:], command[:-1])
+    moved = np.abs(shunt - set_value)[command.argmax() - 50 : command.argmax()]
+    assert moved.min() > 3 * noise[HEATER_CURRENT].sd
+
+
+def test_commands_act_from_their_stamp_on():
+    """A step commanded at sample k shows in the current that sample k + 1 logs, and warms the film by then."""
+    device = draw_device(np.random.default_rng(1), "integrated")
+    command = np.zeros(100)
+    command[50:] = 5e-3
+    truth = simulate(device, command, Plan())
+    assert truth.current[50] == 0
+    assert truth.current[51] == pytest.approx(5e-3)
+    assert truth.temperature[50] == pytest.approx(device.ambient)
+    assert truth.temperature[51] > device.ambient + 5
+
+
+def test_noise_level_and_colour():
+    from vo2_studies.challenge.noise import ChannelNoise, sample_noise
+
+    values = sample_noise(np.random.default_rng(0), ChannelNoise(0.3, 0.5, 0.9), 200_000)
+    assert values.std() == pytest.approx(0.3, rel=0.02)
+    lag_one = np.mean(values[1:] * values[:-1]) / values.var()
+    assert lag_one == pytest.approx(0.45, abs=0.02)

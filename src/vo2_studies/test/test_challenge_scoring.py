@@ -1,0 +1,138 @@
+"""From judgements to challenge.json, the confusion matrix and the page."""
+
+import json
+
+import pytest
+from vo2_studies.challenge.confusion import confusion, confusion_png, confusion_text, page
+from vo2_studies.challenge.judging import FAILED, NONE, Judgement
+from vo2_studies.challenge.parameters import Comparison
+from vo2_studies.challenge.scoring import score, wilson
+
+CONTRACT_KEYS = {
+    "cases",
+    "false_alarm",
+    "top1",
+    "top3",
+    "pair_exact",
+    "pair_any",
+    "pair_extra",
+    "outside_unknown",
+    "outside_excess_removed",
+    "excess_removed",
+    "parameter_error",
+    "coverage90",
+    "channel",
+    "branch",
+    "seconds",
+    "per_effect",
+}
+
+
+def case(kind, *truth, first=NONE, **changes):
+    values = {"device": "integrated", "counted": True, "failure": "", "alarm": first != NONE, "seconds": 4.0}
+    return Judgement(kind=kind, truth=truth, first=first, **(values | changes))
+
+
+def one(name, right, **changes):
+    first = name if right else "dead_time"
+    defaults = {"top1": right, "top3": True, "channel": True, "removed": 0.9}
+    return case("one", name, first=first, **(defaults | changes))
+
+
+def sample():
+    compared = Comparison(
+        {"share": 0.1, "time_constant": 0.3}, {"share": True, "time_constant": False}, ("z",), ()
+    )
+    return [
+        *[case("none") for _ in range(3)],
+        case("none", first="creep"),
+        one("creep", True, parameters=compared, branch=True),
+        one("creep", True),
+        one("creep", False, removed=0.1, channel=False, top3=False),
+        one("latent_heat", True, device="peltier"),
+        one("latent_heat", False, counted=False),
+        case(
+            "one",
+            "dead_time",
+            first=FAILED,
+            failure="fit: exit status 2",
+            top1=False,
+            top3=False,
+            channel=False,
+        ),
+        case("two", "creep", "dead_time", first="creep", both=True, either=True, extra=False),
+        case("two", "creep", "dead_time", first="creep", both=False, either=True, extra=True),
+        case("outside", "mains_hum", first="unknown", unknown=True, removed=0.8, channel=True),
+        case("outside", "stiction", first="creep", unknown=False, removed=0.2, channel=True),
+    ]
+
+
+def test_wilson_interval():
+    # Newcombe, Statistics in Medicine 17, 857, 1998, table I: 81 of 263
+    assert wilson(81, 263) == [pytest.approx(0.2553, abs=1e-4), pytest.approx(0.3662, abs=1e-4)]
+    assert wilson(0, 0) is None
+    assert wilson(0, 20) == [0, pytest.approx(0.1611, abs=1e-4)]
+    assert wilson(20, 20) == [pytest.approx(0.8389, abs=1e-4), pytest.approx(1)]
+
+
+def test_scores():
+    scores = score(sample())
+    assert set(scores) >= CONTRACT_KEYS
+    assert scores["cases"] == 14
+    assert scores["false_alarm"] == 0.25
+    # the mean over effects of 2/3, 1 and 0; pooled 3 of 5
+    assert scores["top1"] == pytest.approx((2 / 3 + 1 + 0) / 3)
+    assert scores["top1_pooled"] == pytest.approx(3 / 5)
+    assert scores["top1_count"] == 5
+    assert scores["top1_interval"] == wilson(3, 5)
+    assert scores["top3"] == pytest.approx((2 / 3 + 1 + 0) / 3)
+    assert (scores["pair_exact"], scores["pair_any"], scores["pair_extra"]) == (0.5, 1.0, 0.5)
+    assert scores["outside_unknown"] == 0.5
+    assert scores["outside_excess_removed"] == 0.5
+    assert scores["outside_half_removed"] == 0.5
+    assert scores["excess_removed"] == pytest.approx(0.9)
+    assert scores["parameter_error"] == pytest.approx(0.2)
+    assert scores["coverage90"] == 0.5
+    assert scores["channel"] == pytest.approx(5 / 7)
+    assert (scores["branch"], scores["branch_count"]) == (1.0, 1)
+    assert scores["seconds"] == 4.0
+    assert scores["weak"]["count"] == 1
+    assert scores["failures"] == {"fit: exit status 2": 1}
+    assert scores["parameters_unmatched"] == {"creep.z": 1}
+    creep = scores["per_effect"]["creep"]
+    assert (creep["count"], creep["top1"]) == (3, pytest.approx(2 / 3))
+    assert creep["named_instead"] == {"dead_time": 1}
+    assert creep["device"]["integrated"]["count"] == 3
+    json.dumps(scores, allow_nan=False)
+
+
+def test_failures_do_not_count_as_alarms_of_clean_cases():
+    clean = [case("none"), case("none", first=FAILED, failure="diagnose: exit status 1", alarm=False)]
+    scores = score(clean)
+    assert scores["false_alarm_count"] == 1
+    assert scores["failures"] == {"diagnose: exit status 1": 1}
+
+
+def test_nothing_to_score_is_null():
+    scores = score([case("none")])
+    assert scores["top1"] is None
+    assert scores["parameter_error"] is None
+    assert set(scores) >= CONTRACT_KEYS
+
+
+def test_confusion_matrix_and_its_views():
+    rows, columns, matrix = confusion(sample())
+    assert matrix[rows.index("creep"), columns.index("creep")] == 2
+    assert matrix[rows.index("creep"), columns.index("dead_time")] == 1
+    assert matrix[rows.index(NONE), columns.index(NONE)] == 3
+    assert matrix[rows.index("outside catalogue"), columns.index("unknown")] == 1
+    assert matrix[rows.index("dead_time"), columns.index(FAILED)] == 1
+    # weak cases and those of two effects are no part of it
+    assert matrix.sum() == 4 + 5 + 2
+    text = confusion_text(sample())
+    assert "creep 2, dead_time 1" in text
+    assert confusion_png(sample()).startswith(b"\x89PNG")
+    html = page(score(sample()), sample(), "challenge --cases <14>")
+    assert "&lt;14&gt;" in html
+    assert "data:image/png;base64," in html
+    assert "http" not in html.replace("http-equiv", "")

@@ -1,0 +1,250 @@
+"""The command `challenge`: draw, diagnose blindly, score; resumable."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import asdict, fields
+from pathlib import Path
+
+from vo2_studies.challenge.domains import FAMILIES
+from vo2_studies.challenge.draw import KINDS, CasePlan, plan_case
+from vo2_studies.challenge.excitation import EXCITATIONS
+from vo2_studies.challenge.runner import CaseRunner, Paths, Settings, finished, load_json, save_json
+
+__all__ = ["main"]
+
+_INTERRUPTED = "interrupted; finished cases are kept, the same command continues"
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="challenge",
+        description="Proof on concealed data: random devices and effects, recorded by an independent simulation, "
+        "diagnosed by separate processes that get only the bags, then scored.",
+    )
+    parser.add_argument(
+        "--cases", type=int, required=True, help="number of cases; a longer run continues a shorter"
+    )
+    parser.add_argument("--seed", type=int, required=True, help="decides devices, effects and noise")
+    parser.add_argument("--output", type=Path, required=True, help="folder; finished cases in it are kept")
+    parser.add_argument("--jobs", type=int, default=1, help="cases at the same time")
+    parser.add_argument(
+        "--only-effects", default="", help="comma-separated ids: one-effect cases of these only"
+    )
+    parser.add_argument("--kinds", default="", help=f"comma-separated, of {', '.join(KINDS)}")
+    parser.add_argument("--device", help="one preset only")
+    parser.add_argument("--misfit", type=float, default=0.1, help="scatter of the concealed hysteresis")
+    parser.add_argument("--family", default="plays", help=f"concealed hysteresis: {' or '.join(FAMILIES)}")
+    parser.add_argument(
+        "--excitation",
+        choices=list(EXCITATIONS),
+        default="informative",
+        help="what is recorded; on slow major loops, and more so on a single one, many effects look alike",
+    )
+    parser.add_argument(
+        "--timeout", type=float, default=300.0, help="seconds for each fit and each diagnosis"
+    )
+    parser.add_argument(
+        "--follow-up", action="store_true", help="play proposed excitations and diagnose again"
+    )
+    parser.add_argument("--keep-bags", action="store_true", help="leave all bags in the output folder")
+    parser.add_argument("--retry-failed", action="store_true", help="run cases without diagnosis again")
+    parser.add_argument("--bags-only", action="store_true", help="write bags and answers, diagnose nothing")
+    return parser
+
+
+@contextlib.contextmanager
+def _interrupt_on_sigterm() -> Iterator[None]:
+    """Treat SIGTERM as Ctrl-C while inside, so that no started process is left behind."""
+
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals can be handled in the main thread only
+        return
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(word.strip() for word in text.split(",") if word.strip())
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; return 0, 2 on unusable arguments, 130 when interrupted."""
+    arguments = _parser().parse_args(argv)
+    try:
+        return _run(arguments, argv)
+    except KeyboardInterrupt:  # while cases are drawn or scored, or the second one
+        print(_INTERRUPTED, file=sys.stderr)
+        return 130
+
+
+def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
+    settings = Settings(
+        arguments.seed,
+        arguments.misfit,
+        arguments.family,
+        arguments.device,
+        _words(arguments.only_effects),
+        _words(arguments.kinds),
+        arguments.excitation,
+    )
+    try:
+        if arguments.cases < 1 or arguments.jobs < 1 or arguments.seed < 0:
+            raise ValueError(
+                "cases, jobs, seed: found a number too small, need cases and jobs >= 1, seed >= 0"
+            )
+        if not 0 <= arguments.misfit <= 0.3:
+            raise ValueError(f"misfit: found {arguments.misfit}, need 0 to 0.3")
+        if arguments.family not in FAMILIES:
+            raise ValueError(f"family: found {arguments.family!r}, need one of {', '.join(FAMILIES)}")
+        plans = [
+            plan_case(
+                settings.seed,
+                index,
+                only_effects=settings.only_effects,
+                device=settings.device,
+                kinds=settings.kinds,
+            )
+            for index in range(arguments.cases)
+        ]
+        paths = Paths(arguments.output.resolve())
+        _claim(paths, settings)
+    except (ValueError, OSError) as error:
+        print(f"challenge: {error}", file=sys.stderr)
+        return 2
+    if arguments.bags_only:
+        return _write_bags(plans, paths, settings)
+    if arguments.retry_failed:
+        for plan in plans:
+            if finished(paths, plan.index) and load_json(paths.result(plan.index))["diagnosis"] is None:
+                paths.result(plan.index).unlink()
+    runner = CaseRunner(
+        settings,
+        paths,
+        timeout_s=arguments.timeout,
+        keep_bags=arguments.keep_bags,
+        follow_up=arguments.follow_up,
+        threads=1 if arguments.jobs > 1 else 0,
+    )
+    try:
+        with _interrupt_on_sigterm():
+            done = _run_all(plans, runner, arguments.jobs)
+        _report(plans, paths, argv)
+    except OSError as error:
+        print(f"challenge: {error}; finished cases are kept", file=sys.stderr)
+        return 2
+    return 0 if done else 130
+
+
+def _claim(paths: Paths, settings: Settings) -> None:
+    """Record the settings in the output folder, or check that they are those it was begun with."""
+    wanted = {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(settings).items()}
+    file = paths.root / "settings.json"
+    if file.exists():
+        # a setting that is younger than the folder had its default
+        found = {field.name: field.default for field in fields(Settings)} | load_json(file)
+        found = {key: list(v) if isinstance(v, tuple) else v for key, v in found.items()}
+        if found != wanted:
+            different = ", ".join(key for key in wanted if found.get(key) != wanted[key])
+            raise ValueError(f"output: {paths.root} was begun with another {different}, need another folder")
+        return
+    if (paths.root / "results").exists():
+        raise ValueError(f"output: {paths.root} has results of unknown settings, need another folder")
+    save_json(file, wanted)
+
+
+def _write_bags(plans: Sequence[CasePlan], paths: Paths, settings: Settings) -> int:
+    from vo2_identification.bags import write_bag
+
+    for plan in plans:
+        if paths.answer(plan.index).exists() and (paths.case(plan.index) / "test" / "metadata.yaml").exists():
+            continue
+        case = settings.case(plan)
+        folder = paths.case(plan.index)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_bag(folder / "calibration", case.calibration)
+        write_bag(folder / "test", case.test)
+        save_json(paths.answer(plan.index), case.answer)
+        print(f"[{plan.index + 1}/{len(plans)}] {folder}", file=sys.stderr)
+    return 0
+
+
+def _run_all(plans: Sequence[CasePlan], runner: CaseRunner, jobs: int) -> bool:
+    """Run what is not finished; return False when interrupted."""
+    left = [plan for plan in plans if not finished(runner.paths, plan.index)]
+    kept = len(plans) - len(left)
+    if kept:
+        print(f"{kept} finished cases kept", file=sys.stderr)
+    start = time.monotonic()
+    pool = ThreadPoolExecutor(jobs)
+    waiting: dict[Future, CasePlan] = {pool.submit(runner.run, plan): plan for plan in left}
+    try:
+        count = 0
+        while waiting:
+            ready, _ = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in ready:
+                plan = waiting.pop(future)
+                result = future.result()
+                count += 1
+                rest = (time.monotonic() - start) / count * (len(left) - count)
+                state = result["failure"] or f"diagnosed in {result['seconds']:.1f} s"
+                print(
+                    f"[{kept + count}/{len(plans)}] case {plan.index:04d} {plan.device}: {state}; "
+                    f"about {_duration(rest)} left",
+                    file=sys.stderr,
+                    flush=True,
+                )
+    except KeyboardInterrupt:
+        print(_INTERRUPTED, file=sys.stderr)
+        return False
+    finally:
+        for future in waiting:
+            future.cancel()
+        if waiting:
+            runner.stop()
+        pool.shutdown()
+    return True
+
+
+def _duration(seconds: float) -> str:
+    minutes = round(seconds / 60)
+    return (
+        f"{minutes // 60} h {minutes % 60:02d} min"
+        if minutes >= 60
+        else f"{minutes} min {seconds % 60:.0f} s"
+    )
+
+
+def _report(plans: Sequence[CasePlan], paths: Paths, argv: Sequence[str] | None) -> None:
+    """Score what is finished; write challenge.json, confusion.png and challenge.html; print the scores."""
+    from vo2_studies.challenge.confusion import confusion_png, confusion_text, page, score_lines
+    from vo2_studies.challenge.judging import judge
+    from vo2_studies.challenge.scoring import score
+
+    indices = [plan.index for plan in plans if finished(paths, plan.index)]
+    if not indices:
+        return
+    judgements = [judge(load_json(paths.answer(k)), load_json(paths.result(k))) for k in indices]
+    scores = score(judgements)
+    save_json(paths.root / "challenge.json", scores)
+    (paths.root / "confusion.png").write_bytes(confusion_png(judgements))
+    command = "./vo2 run vo2_identification challenge " + " ".join(sys.argv[1:] if argv is None else argv)
+    (paths.root / "challenge.html").write_text(page(scores, judgements, command), encoding="utf-8")
+    print(confusion_text(judgements))
+    print()
+    for words, value, spread, verdict in score_lines(scores):
+        print(f"{words:40s}{value:>9s}  {spread:24s}{verdict}")
+    print(f"\n{paths.root / 'challenge.json'}\n{paths.root / 'challenge.html'}")

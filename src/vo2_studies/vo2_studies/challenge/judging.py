@@ -1,0 +1,267 @@
+"""One diagnosis against its answer: every rule of the scoring, one function each.
+
+Names. The *named* effects are the ids in `effects`, "unknown" excluded. The *ranking* is `effects` in order, then
+`candidates` by falling probability, without repetition.
+
+An answer that states a limit counts as right (`states_limit`) in two cases only:
+
+1. the effect is absorbed by a constant (a laser that is on throughout): the verdict is "differs" and the diagnosis
+   mentions the true effect in an `indistinguishable` pair, in `not_excited`, or in `limits`;
+2. the effect needs a channel that the rig does not have (`NEEDS_CHANNEL`): the verdict is "differs", the true
+   effect is in an `indistinguishable` pair, and `next_experiment` is "manual" and separates it.
+
+A pair reported as separable by another *excitation* does not count as right by itself; it is counted apart, and
+scored again after the proposed experiment (`follow_up`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from vo2_models.recording import HEATER_CURRENT
+
+from vo2_studies.challenge.parameters import Comparison, compare_parameters, in_base_unit
+
+__all__ = [
+    "COUNTED_EXCESS",
+    "FAILED",
+    "NEEDS_CHANNEL",
+    "NONE",
+    "Judgement",
+    "excess_removed",
+    "judge",
+    "named",
+    "ranking",
+    "states_limit",
+]
+
+COUNTED_EXCESS = 10.0
+"""Effects below this excess (in units of the noise power) are scored apart."""
+NEEDS_CHANNEL = {
+    "heater_tcr": "heater_voltage",
+    "nonlinear_heat_loss": "ambient_temperature",
+    "sense_self_heating": "sense_current",
+    "laser_heating": "laser_on",
+}
+"""Effects that another channel separates, and the channel."""
+NONE, FAILED, LIMIT = "none", "failed", "limit stated"
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The outcome of one case; None where a question does not arise.
+
+    Attributes
+    ----------
+    kind, device, truth : of the answer; `truth` the effect ids
+    counted : whether the excess of every effect exceeds `COUNTED_EXCESS` (cases without effect: True)
+    failure : reason why there is no diagnosis, or ""
+    first : row label of the confusion matrix: id named first, "unknown", "none", "limit stated" or "failed"
+    alarm : verdict "differs" or any effect named
+    top1, top3 : right name first, among the first three of the ranking (one effect)
+    limit : right because the limit was stated
+    both, either, extra : two effects: both named, at least one named, a wrong name besides
+    unknown : outside the catalogue: "unknown" first and no catalogue name
+    removed : share of excess residual removed on held-out data
+    channel, branch, frequency, signal : location right; right sensor named
+    told : right name first, or told to be inseparable from another or not excited (one effect)
+    parameters : comparison of the parameters where the effect was named
+    experiment : kind of next experiment that separates the truth from an indistinguishable rival, or ""
+    after_experiment : right name first after that experiment
+    seconds : wall time of the diagnosis
+    """
+
+    kind: str
+    device: str
+    truth: tuple[str, ...]
+    counted: bool
+    failure: str
+    first: str
+    alarm: bool
+    top1: bool | None = None
+    top3: bool | None = None
+    limit: bool = False
+    both: bool | None = None
+    either: bool | None = None
+    extra: bool | None = None
+    unknown: bool | None = None
+    removed: float | None = None
+    channel: bool | None = None
+    branch: bool | None = None
+    frequency: bool | None = None
+    signal: bool | None = None
+    told: bool | None = None
+    parameters: Comparison | None = None
+    experiment: str = ""
+    after_experiment: bool | None = None
+    seconds: float | None = None
+
+
+def named(diagnosis: Mapping) -> list[str]:
+    """Return the ids of the effects, "unknown" excluded, in order."""
+    return [entry["id"] for entry in diagnosis["effects"] if entry["id"] != "unknown"]
+
+
+def ranking(diagnosis: Mapping) -> list[str]:
+    """Return effects in order, then candidates by falling probability, each id once."""
+    candidates = sorted(diagnosis["candidates"], key=lambda entry: -entry["probability"])
+    ids = [entry["id"] for entry in (*diagnosis["effects"], *candidates)]
+    return list(dict.fromkeys(ids))
+
+
+def _paired(diagnosis: Mapping) -> set[str]:
+    return {name for pair in diagnosis["indistinguishable"] for name in pair}
+
+
+def states_limit(effect: Mapping, diagnosis: Mapping) -> bool:
+    """Whether the diagnosis states the limit that the effect imposes (rules 1 and 2 above)."""
+    if diagnosis["verdict"] != "differs":
+        return False
+    name = effect["id"]
+    if effect["absorbed_by_constant"]:
+        mentioned = name in _paired(diagnosis) or name in diagnosis.get("not_excited", ())
+        return mentioned or any(name in text for text in diagnosis.get("limits", ()))
+    experiment = diagnosis["next_experiment"]
+    return (
+        name in NEEDS_CHANNEL
+        and name in _paired(diagnosis)
+        and experiment is not None
+        and experiment["kind"] == "manual"
+        and name in experiment["separates"]
+    )
+
+
+def excess_removed(diagnosis: Mapping) -> float | None:
+    """Return the share of excess residual energy removed on held-out data, None where there was none.
+
+    1 - sum(after^2 - floor^2) / sum(before^2 - floor^2) over channels, each in units of its floor^2, negative
+    differences counted as zero.
+    """
+    before = after = 0.0
+    for fit in diagnosis["fit"].values():
+        floor = float(fit["noise_floor"])
+        if floor <= 0:
+            continue
+        before += max((fit["nrmse_before"] / floor) ** 2 - 1, 0.0)
+        after += max((fit["nrmse_after"] / floor) ** 2 - 1, 0.0)
+    return 1 - after / before if before > 0 else None
+
+
+def _top_location(diagnosis: Mapping, *, drive: bool = True) -> Mapping | None:
+    """Return the entry with the largest share; without `drive` of what the device does, not of its current."""
+    entries = [entry for entry in diagnosis["location"] if drive or entry["signal"] != HEATER_CURRENT]
+    return max(entries, key=lambda entry: entry["share"]) if entries else None
+
+
+def _frequency(effect: Mapping, diagnosis: Mapping) -> bool:
+    """Whether the resonance's frequency is within 5 per cent: as a parameter in hertz, or as the located band's middle."""
+    true = effect["parameters"]["frequency"]["value"]
+    found = []
+    for entry in diagnosis["effects"]:
+        if entry["id"] == effect["id"]:
+            for parameter in entry["parameters"].values():
+                unit, factor = in_base_unit(parameter["unit"])
+                if unit == "Hz":
+                    found.append(parameter["value"] * factor)
+    top = _top_location(diagnosis)
+    if top is not None:
+        low, high = top["frequency_hz"]
+        found.append(float(np.sqrt(low * high)) if low > 0 else (low + high) / 2)
+    return any(abs(value - true) <= 0.05 * true for value in found)
+
+
+def _first(answer: Mapping, diagnosis: Mapping) -> str:
+    first = str(diagnosis["effects"][0]["id"]) if diagnosis["effects"] else ""
+    truth = [effect["id"] for effect in answer["effects"]]
+    if first not in truth and any(states_limit(effect, diagnosis) for effect in answer["effects"]):
+        return LIMIT
+    if first:
+        return first
+    return "unknown" if diagnosis["verdict"] == "differs" else NONE
+
+
+def judge(answer: Mapping, result: Mapping) -> Judgement:
+    """Return the judgement of one case.
+
+    Parameters
+    ----------
+    answer : the concealed truth
+    result : {"failure": text, "seconds": x, "diagnosis": diagnosis or None, "follow_up": diagnosis or None}
+
+    A case without diagnosis (crash, timeout, invalid file) is wrong in every question that its kind raises.
+    """
+    effects = answer["effects"]
+    truth = tuple(effect["id"] for effect in effects)
+    kind = answer["kind"]
+    counted = all(effect["excess"] > COUNTED_EXCESS for effect in effects)
+    diagnosis = result.get("diagnosis")
+    base = {"kind": kind, "device": answer["device"], "truth": truth, "counted": counted}
+    if diagnosis is None:
+        wrong: dict = {}
+        if kind == "one":
+            wrong = {"top1": False, "top3": False, "channel": False, "told": False}
+        elif kind == "two":
+            wrong = {"both": False, "either": False, "extra": False}
+        elif kind == "outside":
+            wrong = {"unknown": False, "channel": False}
+        reason = str(result.get("failure") or "no diagnosis")
+        return Judgement(**base, failure=reason, first=FAILED, alarm=False, **wrong)
+    names = named(diagnosis)
+    values: dict = {
+        "failure": "",
+        "first": _first(answer, diagnosis),
+        "alarm": diagnosis["verdict"] == "differs" or bool(diagnosis["effects"]),
+        "seconds": result.get("seconds"),
+    }
+    top = _top_location(diagnosis)
+    if kind == "one":
+        values |= _judge_one(effects[0], diagnosis)
+        follow_up = result.get("follow_up")
+        if follow_up is not None and values["experiment"] == "excitation":
+            first = follow_up["effects"][0]["id"] if follow_up["effects"] else ""
+            values["after_experiment"] = first == truth[0]
+    elif kind == "two":
+        right = [effect["id"] in names or states_limit(effect, diagnosis) for effect in effects]
+        values |= {"both": all(right), "either": any(right), "extra": bool(set(names) - set(truth))}
+        values["removed"] = excess_removed(diagnosis)
+    elif kind == "outside":
+        values["unknown"] = values["first"] == "unknown" and not names
+        values["removed"] = excess_removed(diagnosis)
+        values["channel"] = top is not None and top["signal"] in effects[0]["channels"]
+    return Judgement(**base, **values)
+
+
+def _judge_one(effect: Mapping, diagnosis: Mapping) -> dict:
+    """Return the fields of a one-effect case."""
+    name = effect["id"]
+    effects = diagnosis["effects"]
+    limit = states_limit(effect, diagnosis)
+    first = bool(effects) and effects[0]["id"] == name
+    top = _top_location(diagnosis)
+    values: dict = {
+        "top1": first or limit,
+        "top3": limit or (diagnosis["verdict"] == "differs" and name in ranking(diagnosis)[:3]),
+        "limit": limit and not first,
+        "removed": excess_removed(diagnosis),
+        "channel": top is not None and top["signal"] in effect["channels"],
+        "told": first or limit or name in _paired(diagnosis) or name in diagnosis.get("not_excited", ()),
+        "experiment": "",
+    }
+    if effect["branch"] != "both":
+        # the truth is told of what the device does: the logged current has the branch of the command
+        place = _top_location(diagnosis, drive=False)
+        values["branch"] = place is not None and place["branch"] == effect["branch"]
+    if name == "cantilever_resonance":
+        values["frequency"] = _frequency(effect, diagnosis)
+    for entry in effects:
+        if entry["id"] == name:
+            values["parameters"] = compare_parameters(name, effect["parameters"], entry["parameters"])
+            if effect["signal"] is not None:
+                values["signal"] = entry.get("signal") == effect["signal"]
+            break
+    experiment = diagnosis["next_experiment"]
+    if experiment is not None and name in experiment["separates"] and name in _paired(diagnosis):
+        values["experiment"] = experiment["kind"]
+    return values

@@ -1,0 +1,250 @@
+"""The blind protocol: write the bags, hide the answers, run `fit` and `diagnose` as separate processes, keep results.
+
+    DIR/answers/0007.json            the truth, never given to the processes below
+    DIR/cases/0007/calibration|test  bags; removed once the case is finished, unless they are to be kept
+    DIR/cases/0007/model.yaml, diagnosis/, *.log   what fit and diagnose wrote
+    DIR/results/0007.json            exit states, wall times, diagnosis; a case with this file is finished
+
+Every file appears under its final name only when whole, so an interrupt at any time loses at most a case.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from vo2_studies.challenge.draw import Case, CasePlan, draw_case, follow_up_recording
+
+__all__ = ["CaseRunner", "Paths", "Settings", "finished", "load_json", "save_json"]
+
+KEYS = ("verdict", "location", "effects", "candidates", "fit", "indistinguishable", "next_experiment")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What decides the cases: changing one of these in a begun folder is refused."""
+
+    seed: int
+    misfit: float = 0.1
+    family: str = "plays"
+    device: str | None = None
+    only_effects: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
+    excitation: str = "informative"
+
+    def case(self, plan: CasePlan) -> Case:
+        """Draw the case of `plan`."""
+        return draw_case(self.seed, plan, misfit=self.misfit, family=self.family, excitation=self.excitation)
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Places of one run below `root`."""
+
+    root: Path
+
+    def answer(self, index: int) -> Path:
+        return self.root / "answers" / f"{index:04d}.json"
+
+    def case(self, index: int) -> Path:
+        return self.root / "cases" / f"{index:04d}"
+
+    def result(self, index: int) -> Path:
+        return self.root / "results" / f"{index:04d}.json"
+
+
+def save_json(path: Path, content: Any) -> None:
+    """Write `content` as JSON so that `path` is whole or absent at any time."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(path.suffix + ".partial")
+    partial.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    os.replace(partial, path)
+
+
+def load_json(path: Path) -> Any:
+    """Return the content of a JSON file."""
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def finished(paths: Paths, index: int) -> bool:
+    """Whether case `index` has its answer and its result."""
+    return paths.result(index).exists() and paths.answer(index).exists()
+
+
+@dataclass
+class CaseRunner:
+    """Runs cases, one call a case; safe to call from several threads.
+
+    Attributes
+    ----------
+    settings, paths : what and where
+    fit, diagnose : the commands in front of their options
+    timeout_s : of each process
+    keep_bags : leave the bags in place
+    follow_up : play the proposed excitation on the concealed device and diagnose both recordings
+    threads : numerical threads of each process, 0 for as many as it likes
+    """
+
+    settings: Settings
+    paths: Paths
+    fit: Sequence[str] = (sys.executable, "-m", "vo2_identification.fit", "--simulation-only")
+    diagnose: Sequence[str] = (sys.executable, "-m", "vo2_identification.diagnose")
+    timeout_s: float = 300.0
+    keep_bags: bool = False
+    follow_up: bool = False
+    threads: int = 0
+    _running: set[subprocess.Popen] = field(default_factory=set)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _stopped: bool = False
+
+    def run(self, plan: CasePlan) -> dict[str, Any]:
+        """Run case `plan` unless it is finished; return its result.
+
+        Raises
+        ------
+        InterruptedError : `stop` was called meanwhile; nothing was recorded.
+        """
+        from vo2_identification.bags import write_bag
+
+        paths, index = self.paths, plan.index
+        if finished(paths, index):
+            return load_json(paths.result(index))
+        folder = paths.case(index)
+        shutil.rmtree(folder, ignore_errors=True)  # an interrupted try
+        folder.mkdir(parents=True)
+        case = self.settings.case(plan)
+        save_json(paths.answer(index), case.answer)
+        write_bag(folder / "calibration", case.calibration)
+        write_bag(folder / "test", case.test)
+        del case
+        result = self._diagnose(plan, folder)
+        if self.follow_up and result["diagnosis"] is not None:
+            self._follow_up(plan, folder, result)
+        save_json(paths.result(index), result)
+        if not self.keep_bags:
+            for name in ("calibration", "test", "follow_up"):
+                shutil.rmtree(folder / name, ignore_errors=True)
+        return result
+
+    def stop(self) -> None:
+        """End the processes that this runner started and let no more start."""
+        with self._lock:
+            self._stopped = True
+            running = list(self._running)
+        for process in running:
+            _end(process)
+
+    def _diagnose(self, plan: CasePlan, folder: Path) -> dict[str, Any]:
+        result: dict[str, Any] = {
+            "failure": "",
+            "fit_seconds": None,
+            "seconds": None,
+            "diagnosis": None,
+            "follow_up": None,
+        }
+        # relative paths from inside the case's folder: nothing in the command line leads to the answers
+        fit = [*self.fit, "--bag", "calibration", "--device", plan.device, "--output", "model.yaml"]
+        failure, result["fit_seconds"] = self._process(fit, folder, "fit")
+        if not failure and not (folder / "model.yaml").exists():
+            failure = "fit: wrote no model"
+        if not failure:
+            command = [*self.diagnose, "--bag", "test", "--model", "model.yaml", "--output", "diagnosis"]
+            failure, result["seconds"] = self._process(command, folder, "diagnose")
+        if not failure:
+            result["diagnosis"], failure = _read_diagnosis(folder / "diagnosis" / "diagnosis.json")
+        result["failure"] = failure
+        return result
+
+    def _follow_up(self, plan: CasePlan, folder: Path, result: dict[str, Any]) -> None:
+        """Play the proposed excitation, if there is one, and diagnose both recordings together."""
+        from vo2_identification.bags import write_bag
+
+        from vo2_studies.challenge.devices import PRESETS
+        from vo2_studies.challenge.excitation import played_current
+
+        experiment = result["diagnosis"]["next_experiment"]
+        if experiment is None or experiment["kind"] != "excitation":
+            return
+        try:
+            current = played_current(experiment["excitation"], PRESETS[plan.device])
+        except (TypeError, ValueError) as error:
+            result["follow_up_failure"] = f"not playable: {error}"
+            return
+        answer = load_json(self.paths.answer(plan.index))
+        recording = follow_up_recording(
+            self.settings.seed,
+            plan,
+            answer,
+            current,
+            misfit=self.settings.misfit,
+            family=self.settings.family,
+        )
+        write_bag(folder / "follow_up", recording)
+        command = [*self.diagnose, "--bag", "test", "--bag", "follow_up", "--model", "model.yaml"]
+        failure, _ = self._process([*command, "--output", "diagnosis_2"], folder, "follow_up")
+        if not failure:
+            result["follow_up"], failure = _read_diagnosis(folder / "diagnosis_2" / "diagnosis.json")
+        result["follow_up_failure"] = failure
+
+    def _process(self, command: Sequence[str], folder: Path, name: str) -> tuple[str, float]:
+        """Run `command` in `folder`; return why it failed (or "") and its wall time [s]."""
+        environment = dict(os.environ)
+        if self.threads:
+            for key in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+                environment[key] = str(self.threads)
+        start = time.monotonic()
+        with (folder / f"{name}.log").open("wb") as log:
+            with self._lock:
+                if self._stopped:
+                    raise InterruptedError
+                process = subprocess.Popen(
+                    command, cwd=folder, stdout=log, stderr=log, env=environment, start_new_session=True
+                )
+                self._running.add(process)
+            try:
+                code = process.wait(self.timeout_s)
+            except subprocess.TimeoutExpired:
+                _end(process)
+                return f"{name}: no result within {self.timeout_s:g} s", time.monotonic() - start
+            finally:
+                with self._lock:
+                    self._running.discard(process)
+        if self._stopped:
+            raise InterruptedError
+        return ("" if code == 0 else f"{name}: exit status {code}"), time.monotonic() - start
+
+
+def _end(process: subprocess.Popen) -> None:
+    """End a process of ours and its children."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, number)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(3)
+            return
+
+
+def _read_diagnosis(path: Path) -> tuple[Mapping[str, Any] | None, str]:
+    """Return the diagnosis and "", or None and what is wrong with the file."""
+    if not path.exists():
+        return None, "diagnose: wrote no diagnosis.json"
+    try:
+        diagnosis = load_json(path)
+    except ValueError:
+        return None, "diagnose: diagnosis.json is not JSON"
+    if not isinstance(diagnosis, dict) or diagnosis.get("schema") != "vo2-diagnosis/1":
+        return None, "diagnose: diagnosis.json is not of schema vo2-diagnosis/1"
+    if missing := [key for key in KEYS if key not in diagnosis]:
+        return None, f"diagnose: diagnosis.json lacks {', '.join(missing)}"
+    return diagnosis, ""

@@ -1,0 +1,136 @@
+"""The command line of `reproduce`: choose sections, run them with progress, write page and JSON."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
+from types import ModuleType
+
+from vo2_studies.reproduce import INTERRUPTED
+from vo2_studies.reproduce import sections as section_folder
+from vo2_studies.reproduce.claims import Context, Section
+from vo2_studies.reproduce.page import page
+
+__all__ = ["run", "section_modules"]
+
+
+def section_modules() -> list[ModuleType]:
+    """Modules of `reproduce.sections` in the order of the dissertation; each has NUMBER, TITLE and `run(context)`."""
+    modules = [
+        import_module(f"{section_folder.__name__}.{found.name}")
+        for found in iter_modules(section_folder.__path__)
+        if not found.name.startswith("_")
+    ]
+    return sorted(modules, key=lambda module: [int(part) for part in module.NUMBER.split(".")])
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; 0 whatever the claims say, 2 on unusable arguments, 130 after Ctrl-C (sections done are kept)."""
+    parser = argparse.ArgumentParser(
+        prog="reproduce",
+        description="Published figures of the dissertation beside ours: one page, one JSON file.",
+    )
+    parser.add_argument(
+        "--only", metavar="SECTION", action="append", help="for instance 8, 8.4 or 8.4.1; repeatable"
+    )
+    parser.add_argument("--output", metavar="DIR", type=Path, default=Path("reproduction"))
+    parser.add_argument("--draws", type=int, default=200, help="simulated devices of the comparisons (200)")
+    parser.add_argument(
+        "--robust-draws", type=int, default=1000, help="devices of the robustness study (1000)"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of the first device (1)")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (all cores)")
+    parser.add_argument("--list", action="store_true", help="list the sections and stop")
+    options = parser.parse_args(arguments)
+    known = section_modules()
+    if options.list:
+        for module in known:
+            print(f"{module.NUMBER:8s}{module.TITLE}")
+        return 0
+    wanted = [m for m in known if not options.only or any(_belongs(m.NUMBER, o) for o in options.only)]
+    if not wanted:
+        print(
+            f"reproduce: --only: found {', '.join(options.only)}, need one of {', '.join(m.NUMBER for m in known)}",
+            file=sys.stderr,
+        )
+        return 2
+    if min(options.draws, options.robust_draws, options.workers) < 1:
+        print("reproduce: --draws, --robust-draws, --workers: need at least 1", file=sys.stderr)
+        return 2
+    try:
+        options.output.mkdir(parents=True, exist_ok=True)
+        target = options.output / "reproduction.json"
+        target.touch()
+    except OSError as error:
+        print(
+            f"reproduce: --output: cannot write {options.output} ({error.strerror}); give a writable folder",
+            file=sys.stderr,
+        )
+        return 2
+    started = time.monotonic()
+    done: list[Section] = []
+    for module in wanted:
+        begun = time.monotonic()
+        context = Context(
+            options.draws,
+            options.robust_draws,
+            options.seed,
+            options.workers,
+            options.output,
+            _progress(module.NUMBER),
+        )
+        try:
+            section = module.run(context)
+        except KeyboardInterrupt:
+            kept = f"{len(done)} of {len(wanted)} sections are in {options.output / 'reproduction.html'}"
+            print(
+                f"\nreproduce: interrupted in {module.NUMBER}; {kept if done else 'no section was done yet'}",
+                file=sys.stderr,
+            )
+            return INTERRUPTED
+        done.append(section)
+        met = sum(claim.met for claim in section.claims)
+        _line(
+            f"{section.number:6s} {met} of {len(section.claims)} met, {time.monotonic() - begun:.1f} s  {section.title}"
+        )
+        print(file=sys.stderr)
+        # after every section: an interrupted run leaves what it has found
+        _write(options.output, done, time.monotonic() - started, wanted)
+    claims = [claim for section in done for claim in section.claims]
+    print(f"{sum(c.met for c in claims)} of {len(claims)} claims met")
+    print(f"page  {options.output / 'reproduction.html'}")
+    print(f"data  {target}")
+    return 0
+
+
+def _write(folder: Path, done: Sequence[Section], seconds: float, wanted: Sequence[ModuleType]) -> None:
+    only = "".join(f" --only {module.NUMBER}" for module in wanted)
+    command = "./vo2 run vo2_identification reproduce" + (
+        only if len(wanted) < len(section_modules()) else ""
+    )
+    records = [claim.record() for section in done for claim in section.claims]
+    (folder / "reproduction.json").write_text(json.dumps(records, indent=1) + "\n", encoding="utf-8")
+    (folder / "reproduction.html").write_text(page(done, command=command, seconds=seconds), encoding="utf-8")
+
+
+def _belongs(number: str, wanted: str) -> bool:
+    return number == wanted or number.startswith(wanted + ".") or wanted.startswith(number + ".")
+
+
+def _progress(number: str) -> Callable[[str, float], None]:
+    def say(text: str, share: float) -> None:
+        _line(f"{number:6s} {100 * share:3.0f} %  {text}")
+
+    return say
+
+
+def _line(text: str) -> None:
+    end = "" if sys.stderr.isatty() else "\n"
+    print(("\r\x1b[K" if sys.stderr.isatty() else "") + text, end=end, file=sys.stderr, flush=True)

@@ -1,0 +1,122 @@
+"""2.4: Preisach operator of level 40 compressed to level 4: its predictions and its inverse."""
+
+from __future__ import annotations
+
+import numpy as np
+from vo2_models.hysteresis.preisach.compression import compress, evaluate_partition
+from vo2_models.hysteresis.preisach.inverse import PreisachInverse
+from vo2_models.identification.excitation import random_levels
+
+from vo2_studies.preisach.compression_study import PUBLISHED_MAX_ERROR, compression_study, stand_in_density
+from vo2_studies.reproduce.claims import Claim, Context, Figure, Section, at_most, within
+from vo2_studies.reproduce.figures import STYLES, draw
+
+NUMBER, TITLE = "2.4", "KL-divergence compression of the Preisach operator"
+
+DENSITIES = 20
+LEVEL = 4
+_WORDS = {"prediction": "prediction of a random sequence", "inverse": "open-loop inverse compensation"}
+
+
+def run(context: Context) -> Section:
+    """Return the section's claims; a few seconds."""
+    context.progress(f"{DENSITIES} densities compressed by four schemes", 0.1)
+    study = compression_study(level=LEVEL, densities=DENSITIES, seed=context.seed)
+    conditions = (
+        f"mean over {DENSITIES} densities of the kind of Fig. 2.2 (a peak off the diagonal, rough by a third), level 40 to "
+        f"{LEVEL}, output -4.28 to -2.34; the measured density is not published"
+    )
+    claims = []
+    for quantity, words in _WORDS.items():
+        ours, published = getattr(study, quantity), PUBLISHED_MAX_ERROR[quantity]
+        claims.append(
+            Claim(f"2.4.2.{quantity}_kl", "2.4.2", f"Largest error of the J_KL grid, {words}", published["J_KL"],
+                  ours["J_KL"], "log10 ohm", at_most(published["J_KL"]), conditions)
+        )  # fmt: skip
+        ratio = published["J_KL"] / published["uniform"]
+        claims.append(
+            Claim(f"2.4.2.{quantity}_kl_over_uniform", "2.4.2", f"Largest error of J_KL over that of the uniform grid, {words}",
+                  ratio, ours["J_KL"] / ours["uniform"], "1", within(ratio, 0.1), conditions)
+        )  # fmt: skip
+        for other in ("J_1", "J_inf"):
+            ratio = published["J_KL"] / published[other]
+            claims.append(
+                Claim(f"2.4.2.{quantity}_kl_over_{other.lower()}", "2.4.2",
+                      f"Largest error of J_KL over that of {other}, {words}", ratio, ours["J_KL"] / ours[other], "1",
+                      at_most(ratio), f"published: below, as {other} has more than 1.00; {conditions}")
+            )  # fmt: skip
+    context.progress("figures", 0.8)
+    remarks = (
+        "J_KL is best on average and has about 0.4 of the uniform grid's error, as published. That the grids of J_1 and "
+        "J_inf are worse than the uniform one is not reproduced: on these densities all three criteria keep nearly the "
+        "same walls.",
+    )
+    return Section(NUMBER, TITLE, tuple(claims), _figures(context.seed), remarks)
+
+
+def _figures(seed: int) -> tuple[Figure, ...]:
+    """Grids, prediction and inversion errors of one density."""
+    rng = np.random.default_rng(seed)
+    truth = stand_in_density(rng)
+    temperature = random_levels(30.0, 80.0, 200, seed=rng)
+    time = np.arange(300)
+    low, high = truth.output_range
+    wanted = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(0.1 * time) * np.exp(-time / 150)
+    uniform = evaluate_partition(truth, np.linspace(0, truth.level, LEVEL + 1).round().astype(np.int64))
+    models = {
+        "J_KL": compress(truth, LEVEL, "kl"),
+        "J_1": compress(truth, LEVEL, "sum"),
+        "J_inf": compress(truth, LEVEL, "max"),
+        "uniform": uniform,
+    }
+
+    def density(left, right):
+        for axis, (name, model) in zip(
+            (left, right), (("uniform", uniform), ("J_KL", models["J_KL"])), strict=True
+        ):
+            walls = truth.walls
+            image = axis.pcolormesh(
+                walls, walls, np.ma.masked_equal(truth.density, 0.0), cmap="viridis", rasterized=True
+            )
+            for wall in model.operator.walls:
+                axis.plot([wall, wall], [wall, walls[-1]], color="white", lw=1.2)
+                axis.plot([walls[0], wall], [wall, wall], color="white", lw=1.2)
+            axis.set_title(name, fontsize=9)
+            axis.set_xlabel("beta [degC]")
+            axis.set_ylabel("alpha [degC]")
+            axis.set_aspect("equal")
+            axis.grid(False)
+            axis.figure.colorbar(image, ax=axis, label="density [log10 ohm/K^2]", shrink=0.7)
+
+    def prediction(top, bottom):
+        top.step(np.arange(temperature.size), temperature, where="post", color="k", lw=0.8)
+        top.set_ylabel("temperature [degC]")
+        for (name, model), style in zip(models.items(), STYLES, strict=True):
+            bottom.plot(model.operator(temperature) - truth(temperature), style, label=name)
+        bottom.set_ylabel("error [log10 ohm]")
+        bottom.set_xlabel("sample [1]")
+
+    def inversion(top, bottom):
+        top.plot(wanted, color="k")
+        top.set_ylabel("wanted -log10 R")
+        for (name, model), style in zip(models.items(), STYLES, strict=True):
+            v, _ = PreisachInverse(model.operator).run(wanted, model.operator.saturated())
+            bottom.plot(truth(v) - wanted, style, label=name)
+        bottom.set_ylabel("error [log10 ohm]")
+        bottom.set_xlabel("sample [1]")
+
+    return (
+        draw(
+            "Fig. 2.3 and 2.4c: density of one draw with the uniform and the J_KL grid.",
+            density,
+            columns=2,
+            height=3.0,
+        ),
+        draw(
+            "Fig. 2.5: a random temperature sequence and the errors of prediction.",
+            prediction,
+            rows=2,
+            height=2.4,
+        ),
+        draw("Fig. 2.6: wanted output and errors of inverse compensation.", inversion, rows=2, height=2.4),
+    )
