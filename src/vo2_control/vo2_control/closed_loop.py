@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from vo2_models.device import chain
 from vo2_models.device.presets import preset
 from vo2_models.device.simulation import Simulation, white_noise
+from vo2_models.numerics.kernel import kernel
 from vo2_models.self_sensing.composite import CompositeSelfSensing, composite_step
 from vo2_models.self_sensing.polynomial import PolynomialSelfSensing, polynomial_step
 from vo2_models.self_sensing.scheme import SelfSensing
@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 
 _TRUTH, _POLYNOMIAL, _COMPOSITE = 0, 1, 2
 _NOTHING = np.zeros(0)
-_limited_step = njit(cache=True, error_model="numpy")(limited_step)
+_limited_step = kernel(limited_step)
 
 
 def _packed(sensing: SelfSensing | None) -> tuple[int, Floats, Floats, Floats, Floats, Floats]:
@@ -67,7 +67,7 @@ class LoopResult:
         return self.reference_m - self.deflection_m
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _estimate(kind, first, second, scales, table, memory, resistance, truth):
     if kind == _POLYNOMIAL:
         return polynomial_step(resistance, first, second, table)[0]
@@ -76,7 +76,7 @@ def _estimate(kind, first, second, scales, table, memory, resistance, truth):
     return truth
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _run(
     kind, c, mode, packed_r, packed_d, poly_r, poly_d, levels, domains,
     x, play_r, play_d, metallic, line, sensors, sensor_lines,

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from vo2_models.device.borrow import borrow
 from vo2_models.device.coefficients import PER_CHANNEL
@@ -21,6 +20,7 @@ from vo2_models.device.core import ENSEMBLE, advance, follow, follows, initial_t
 from vo2_models.device.laws import polynomial, truth_deflection, truth_resistance
 from vo2_models.device.state import CURRENT_LINE, SENSOR_LINE
 from vo2_models.device.state import Slot as S
+from vo2_models.numerics.kernel import kernel
 
 __all__ = ["COLUMNS", "run_chain"]
 
@@ -34,7 +34,7 @@ _LINE = CURRENT_LINE - 1
 _SENSOR_LINE = SENSOR_LINE - 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _driver(c, x, command, period):
     """Source: its range, then saturation, dead zone and slew rate."""
     i = min(max(command, c[C.RANGE_LOW]), c[C.RANGE_HIGH])
@@ -48,14 +48,14 @@ def _driver(c, x, command, period):
     return i
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _film_resistance(kind, c, x, poly_r):
     if kind == ENSEMBLE:
         return truth_resistance(c, x[S.FILM], x[S.OUT_R])
     return math.exp(-LN10 * (x[S.OUT_R] + polynomial(poly_r, x[S.FILM])))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _film_deflection(kind, c, x, poly_d):
     value = x[S.OUT_D] + polynomial(poly_d, x[S.FILM])
     if kind == ENSEMBLE:
@@ -65,7 +65,7 @@ def _film_deflection(kind, c, x, poly_d):
     return value
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _terminal_resistance(c, x, film, current):
     """What the two terminals show: leakage beside the film, leads in series, and crosstalk of the heater."""
     value = film
@@ -74,7 +74,7 @@ def _terminal_resistance(c, x, film, current):
     return value + c[C.SERIES] + c[C.CROSSTALK] * current
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _structure(c, x, mode, deflection, period):
     """Creep and one lightly damped mode, both with unit gain at rest; `mode` (2, 4) is the mode's exact step."""
     value = deflection
@@ -90,13 +90,13 @@ def _structure(c, x, mode, deflection, period):
     return value
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _relaxations(c, period):
     """Sample period in time constants of the heat; never so few that a difference of exponentials loses digits."""
     return max(period / c[C.TIME_CONSTANT], 1e-3)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sense(c, channel, value, normal, time, period, sample, memory, line):
     """One sensor: lag, late clock, drifting gain, noise, quantisation, saturation.
 
@@ -149,7 +149,7 @@ def _compiled(version: str) -> Any:
     variable of the enclosing function is part of the cache's key, so their digest is passed as one.
     """
 
-    @njit(cache=True, error_model="numpy", nogil=True)
+    @kernel(nogil=True)
     def run_chain(
         kind, c, mode, packed_r, packed_d, poly_r, poly_d, levels, domains,
         x, play_r, play_d, metallic, line, sensors, sensor_lines,

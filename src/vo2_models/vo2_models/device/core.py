@@ -14,12 +14,11 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from vo2_models.device.coefficients import Coefficient as C
 from vo2_models.device.ensemble import count_above, ensemble_peek, ensemble_step
 from vo2_models.device.plays import bank_middle, bank_output
 from vo2_models.device.state import Slot as S
+from vo2_models.numerics.kernel import kernel
 
 __all__ = [
     "ENSEMBLE",
@@ -41,18 +40,18 @@ LATENT_TOLERANCE = 1e-4
 """Enthalpy error [K] of one step at which the search for its temperature ends; it is carried into the next step."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def ambient(c, time):
     """Ambient temperature [degC] at the time [s]."""
     return c[C.AMBIENT] + time * (c[C.DRIFT_RATE] + time * c[C.DRIFT_CURVATURE])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _laser_on(c, time):
     return c[C.LASER_FROM] <= time < c[C.LASER_UNTIL]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def output_share(kind, which, raw, c):
     """Share 0..1 of a transition's output that has switched, which stands for its phase fraction.
 
@@ -64,7 +63,7 @@ def output_share(kind, which, raw, c):
     return (raw - c[low]) / (c[high] - c[low])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _move(kind, which, v, packed, play, levels, domains, metallic, x):
     if kind == PLAYS:
         return bank_output(v, packed, play, True)
@@ -74,7 +73,7 @@ def _move(kind, which, v, packed, play, levels, domains, metallic, x):
     return count / metallic.shape[1]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _peek(kind, lead, v, packed, play, levels, domains, metallic, x):
     """Output of the transition `lead` after a move to v that is not made."""
     if kind == PLAYS:
@@ -83,7 +82,7 @@ def _peek(kind, lead, v, packed, play, levels, domains, metallic, x):
     return count / metallic.shape[1]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def leading(kind, c, packed_r, packed_d):
     """Which transition stands for the phase in heat: the structural one, if it is known, unless the effect says otherwise.
 
@@ -95,7 +94,7 @@ def leading(kind, c, packed_r, packed_d):
     return 0 if packed_d[0] == 0.0 or (metallic and packed_r[0] > 0.0) else 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _followed(which, equilibrium, ramp, c, x):
     """Transition output after a step at whose end its equilibrium is `equilibrium`: tau_k ds/dt = s_eq - s.
 
@@ -108,7 +107,7 @@ def _followed(which, equilibrium, ramp, c, x):
     return equilibrium - (equilibrium - before) * ramp + (x[S.RAW_R + which] - before) * left
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fraction_at(
     kind, lead, film, ramp, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic
 ):  # fmt: skip
@@ -121,7 +120,7 @@ def _fraction_at(
     return output_share(kind, lead, _followed(lead, raw, ramp, c, x), c)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _among_neighbours(
     kind, which, film, ramp, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic
 ):  # fmt: skip
@@ -144,7 +143,7 @@ def _among_neighbours(
     return felt
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic):
     """Start from a long rest in the insulating phase at the ambient temperature; memory as given."""
     rest = ambient(c, 0.0)
@@ -171,7 +170,7 @@ def initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, 
     x[S.FRACTION] = output_share(kind, lead, x[S.OUT_R + lead], c)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _count_reversals(c, x, film):
     """Zigzag count of turning points whose excursion is large enough."""
     direction = x[S.DIRECTION]
@@ -187,7 +186,7 @@ def _count_reversals(c, x, film):
         x[S.REVERSALS] += 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _relax(c, x, film, h):
     """Advance the after-effect y by a step: dy/dt = (d / t0) exp(-d y) - (y / T_f) |dT/dt|.
 
@@ -204,7 +203,7 @@ def _relax(c, x, film, h):
     x[S.RELAXED] = x[S.WAY] * (kept + math.log1p(h / c[C.RELAXATION_TIME] * math.exp(-kept))) * half
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _heat(c, x, current, h, time, background):
     """Heat taken up in the step, as temperature rise [K] without latent heat; the slow mode moves along."""
     theta = x[S.FAST] - background
@@ -236,7 +235,7 @@ def _heat(c, x, current, h, time, background):
     return surplus * x[S.LAG_DECAY]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _solve_latent(
     kind, lead, c, x, heat, ramp, slope, rest, packed_r, packed_d, play_r, play_d, levels, domains, metallic
 ):
@@ -287,7 +286,7 @@ def _solve_latent(
     return fast
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _film_extra(c, x, time):
     """How far the film is above its stage [K]."""
     extra = c[C.SENSE_FILM] * x[S.RESISTANCE]
@@ -296,7 +295,7 @@ def _film_extra(c, x, time):
     return extra
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _bring(c, x, fast, background, film_extra):
     """Bring the film to where the fast mode is at `fast`; return what the transitions see of it [degC]."""
     # stage rise = (1 - share + gain) fast rise + share slow; the film sits a little above its stage
@@ -310,7 +309,7 @@ def _bring(c, x, fast, background, film_extra):
     return film + c[C.TRAINING] * x[S.REVERSALS]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def follows(kind, c):
     """Whether the transitions only follow the film: nothing but their last input and the turns on the way decides."""
     return kind == PLAYS and (
@@ -326,7 +325,7 @@ def follows(kind, c):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def warm(c, x, current, h, time):
     """Advance the temperature alone by h [s]; return what the transitions see of it [degC]. Where `follows` holds."""
     background = ambient(c, time)
@@ -334,7 +333,7 @@ def warm(c, x, current, h, time):
     return _bring(c, x, fast, background, _film_extra(c, x, time))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def follow(c, x, effective, packed_r, packed_d, play_r, play_d):
     """Bring the transitions to an input [degC]. Where `follows` holds."""
     x[S.RAW_R] = bank_output(effective, packed_r, play_r, True)
@@ -345,7 +344,7 @@ def follow(c, x, effective, packed_r, packed_d, play_r, play_d):
     x[S.OUT_D] = x[S.RAW_D]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, levels, domains, metallic):
     """Advance temperature and transitions by h [s] under a held current [A]; `time` [s] at the start."""
     lead = leading(kind, c, packed_r, packed_d)
@@ -400,7 +399,7 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
         x[S.CARRY] = heat - (fast - before) - c[C.LATENT] * (x[S.FRACTION] - s)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _span(kind, which, c):
     """Lowest output of a transition, and how much it grows from there to the highest."""
     if kind == ENSEMBLE:
@@ -410,7 +409,7 @@ def _span(kind, which, c):
     return c[C.PLAY_LOW_D], c[C.PLAY_HIGH_D] - c[C.PLAY_LOW_D]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _anhysteretic(kind, which, v, packed, levels):
     """Output half way between the two major branches at the temperature v."""
     if kind == ENSEMBLE:
@@ -418,7 +417,7 @@ def _anhysteretic(kind, which, v, packed, levels):
     return bank_middle(v, packed)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _add_reversible(kind, c, x, film, effective, effective_d, h, packed_r, packed_d, levels):
     """What each transition does beside switching: drift at holds, and reversible change inside the loop."""
     if c[C.RELAXATION] != 0.0:

@@ -10,9 +10,10 @@ The kernels keep the domains sorted by both temperatures and touch only those th
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import ndtri
+
+from vo2_models.numerics.kernel import kernel
 
 __all__ = ["NARROWEST", "count_above", "ensemble_peek", "ensemble_step", "population", "sort_population"]
 
@@ -64,7 +65,7 @@ def sort_population(
     return np.ascontiguousarray([alpha[orders[0]], beta[orders[1]]]), orders
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def count_above(levels, which, side, value):
     """Number of levels not above `value` (a search without a slice, which would cost reference counts)."""
     low, high = 0, levels.shape[2]
@@ -77,7 +78,7 @@ def count_above(levels, which, side, value):
     return low
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _from(levels, which, side, value):
     """Number of levels below `value`."""
     low, high = 0, levels.shape[2]
@@ -90,7 +91,7 @@ def _from(levels, which, side, value):
     return low
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def ensemble_step(temperature, previous, which, levels, domains, metallic, count):
     """Move the ensemble from `previous` to `temperature`; return the number of metallic domains.
 
@@ -114,7 +115,7 @@ def ensemble_step(temperature, previous, which, levels, domains, metallic, count
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def ensemble_peek(temperature, previous, which, levels, domains, metallic, count):
     """Number of metallic domains after a move to `temperature` that is not made."""
     if temperature > previous:

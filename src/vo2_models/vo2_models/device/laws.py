@@ -16,16 +16,15 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from vo2_models.device.coefficients import Coefficient as C
+from vo2_models.numerics.kernel import kernel
 
 __all__ = ["arc_tip", "mixture_conductance", "polynomial", "truth_deflection", "truth_resistance"]
 
 ZERO_CELSIUS = 273.15
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def mixture_conductance(insulator, metal, fraction, threshold):
     """Effective conductance (same unit as the two given) of a mixture with metallic fraction 0..1."""
     a = (1.0 - threshold) / threshold
@@ -37,7 +36,7 @@ def mixture_conductance(insulator, metal, fraction, threshold):
     return 2.0 * insulator * metal / (root - b)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def truth_resistance(c, temperature, fraction):
     """Film resistance [ohm] at the temperature [degC] and metallic fraction."""
     inverse = 1.0 / (temperature + ZERO_CELSIUS) - 1.0 / (c[C.REFERENCE_LOW] + ZERO_CELSIUS)
@@ -46,7 +45,7 @@ def truth_resistance(c, temperature, fraction):
     return 1.0 / mixture_conductance(1.0 / insulator, 1.0 / metal, fraction, c[C.THRESHOLD])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def arc_tip(curvature, length):
     """Tip deflection [m] of a circular arc of the curvature [1/m] and length [m]: (5.1)."""
     x = 0.5 * curvature * length
@@ -56,7 +55,7 @@ def arc_tip(curvature, length):
     return length * sine * sine / x
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def truth_deflection(c, temperature, fraction):
     """Tip deflection [m] at the temperature [degC] and structural fraction."""
     expansion = (1.0 - fraction) * c[C.EXPANSION_COLD] + fraction * c[C.EXPANSION_HOT]
@@ -64,7 +63,7 @@ def truth_deflection(c, temperature, fraction):
     return arc_tip(curvature, c[C.LENGTH]) - c[C.DEFLECTION_ZERO]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def polynomial(coefficients, v):
     """c_0 + c_1 v + c_2 v^2 + ..."""
     value = 0.0

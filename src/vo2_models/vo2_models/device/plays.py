@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from vo2_models.hysteresis.layout import HEADER
+from vo2_models.numerics.kernel import kernel
 
 __all__ = ["bank_middle", "bank_output", "tanh"]
 
@@ -20,7 +19,7 @@ _FARTHEST = 40.0
 """Where tanh is 1 to the last bit: exp(-40) < 2^-54."""
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def tanh(a):
     """tanh a from p = exp(-2 |a|) - 1, which is within 1e-15 of the value, relatively too.
 
@@ -42,7 +41,7 @@ def tanh(a):
 
 
 # the sum may be taken in another order: that is what lets several plays be taken at a time
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+@kernel(fastmath={"reassoc", "contract", "nsz"})
 def bank_output(v, packed, memory, make):
     """Weighted sum of the plays at the input v [degC]; the memory (1 + N,) moves there where `make` is true."""
     n = int(packed[0])
@@ -73,7 +72,7 @@ def bank_output(v, packed, memory, make):
     return total
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+@kernel(fastmath={"reassoc", "contract", "nsz"})
 def bank_middle(v, packed):
     """Weighted sum of the plays half way between the two major branches at the input v [degC]."""
     n = int(packed[0])

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
@@ -26,6 +25,7 @@ from vo2_models.device.simulation import Simulation
 from vo2_models.device.state import SENSOR_LINE
 from vo2_models.device.state import Slot as S
 from vo2_models.identification.enrichment import Correction
+from vo2_models.numerics.kernel import kernel
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
 __all__ = ["Film", "carried", "corrected_film", "film_alone", "through_structure"]
@@ -150,7 +150,7 @@ def _late(values: Floats, constant: float, dt: float) -> Floats:
     return np.asarray(values + gap)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def _seen_temperature(kind, c, packed_r, packed_d, out, seen):
     """What each transition sees: film temperature plus training, incongruency and structural offset."""
     x = np.zeros(_SLOTS)
@@ -170,7 +170,7 @@ def _seen_temperature(kind, c, packed_r, packed_d, out, seen):
                     )
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def _behind_structure(c, mode, period, series):
     """Replace each deflection (k, n) by what the structure makes of it."""
     for j in range(series.shape[0]):
@@ -182,7 +182,7 @@ def _behind_structure(c, mode, period, series):
             series[j, k] = _structure(c, x, mode, series[j, k], period)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def _finish(kind, c, mode, poly_d, period, rest, at_rest, film, out, x, sensors, lines, every, result):
     """Terminals, structure and sensors of both channels, once more, on the corrected film."""
     c, mode, poly_d, film, out, result = (

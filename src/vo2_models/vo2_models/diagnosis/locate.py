@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import welch
 
 from vo2_models.device import surrogate_of_temperature
 from vo2_models.diagnosis.evidence import Evidence
 from vo2_models.diagnosis.result import Location
+from vo2_models.numerics.kernel import kernel
 
 __all__ = ["Breakdown", "breakdown", "locate", "one_loop", "turning_points"]
 
@@ -163,7 +163,7 @@ def turning_points(temperature: Floats) -> tuple[Floats, Floats]:
     return last, before
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def _turns(temperature, dead):
     n = temperature.size
     last = np.empty(n)

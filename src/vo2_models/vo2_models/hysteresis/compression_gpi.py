@@ -22,10 +22,10 @@ from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.hysteresis.prandtl_ishlinskii import PlayModel
+from vo2_models.numerics.kernel import kernel
 from vo2_models.validation import finite_array, increasing, nonnegative
 
 __all__ = ["Compression", "CompressionResult", "compress", "group_loss", "merge", "partition", "scaling"]
@@ -34,7 +34,7 @@ FloatArray = NDArray[np.float64]
 Criterion = Literal["sum", "max"]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _losses_from(start, radii, weights, losses):
     """losses[end] = E of the group radii[start:end], for every end > start.
 
@@ -79,7 +79,7 @@ def _losses_from(start, radii, weights, losses):
         losses[last + 1] = math.sqrt(spread + squares * apart * apart) * entropy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _dynamic_programme(radii, weights, groups, largest):
     """Cuts (groups + 1,) of the partition of least total (or least largest) loss, by (3.6)-(3.7) backwards.
 

@@ -23,21 +23,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from vo2_models.hysteresis.layout import HEADER, LINEAR, POLYNOMIAL, SINE, TANH
+from vo2_models.numerics.kernel import kernel
 
-# Reassociation lets the weighted sum over the plays use vector registers; it changes results by rounding only.
-summing = njit(cache=True, error_model="numpy", fastmath={"reassoc", "nsz", "contract"})
 CHUNK = 256
 """Samples whose envelope values are computed ahead of the plays; small enough for the first-level cache."""
-
-exact = njit(cache=True, error_model="numpy")
+# Reassociation lets the weighted sum over the plays use vector registers; it changes results by rounding only.
+summing = kernel(fastmath={"reassoc", "nsz", "contract"})
+exact = kernel
 # What runs once per play or per sample goes into its caller's loop: a call costs as much as the arithmetic.
-summing_inline = njit(
-    cache=True, error_model="numpy", fastmath={"reassoc", "nsz", "contract"}, forceinline=True
-)
-exact_inline = njit(cache=True, error_model="numpy", forceinline=True)
+summing_inline = kernel(fastmath={"reassoc", "nsz", "contract"}, forceinline=True)
+exact_inline = kernel(forceinline=True)
 
 
 @exact_inline

@@ -23,10 +23,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.identification.rough import cell_features, cell_sum
+from vo2_models.numerics.kernel import kernel
 from vo2_models.validation import finite_array, positive_number
 
 __all__ = ["Correction", "EnrichmentBasis", "everett_table", "preisach_features"]
@@ -71,7 +71,7 @@ def everett_table(centre: Floats, half_width: Floats, walls: Floats) -> Floats:
     return table
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def _features_kernel(temperature, low, step, table, out):
     size, _, m = table.shape
     turns = np.zeros(DEEPEST)

@@ -9,15 +9,16 @@ and off while it falls from beta + h to beta (a play of (B.5)-(B.6) with clipped
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from vo2_models.numerics.kernel import kernel
 
 __all__ = ["cell_features", "cell_sum"]
 
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def _move(x, last, p):
     """Bring the cells' on-fractions p (a, w) from grid coordinate `last` to x; beta of cell (i, j) is i - 1 - j."""
     rows, widths = p.shape
@@ -36,7 +37,7 @@ def _move(x, last, p):
                     p[i, j] = c
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def _features(temperature, low, step, chosen, rows, widths, out):
     p = np.zeros((rows, widths))
     flat = p.reshape(-1)
@@ -49,7 +50,7 @@ def _features(temperature, low, step, chosen, rows, widths, out):
             out[k, b] = flat[chosen[b]]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def _sum(temperature, low, step, weights, out):
     rows, widths = weights.shape
     p = np.zeros((rows, widths))

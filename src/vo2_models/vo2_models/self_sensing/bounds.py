@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from vo2_models.numerics.kernel import kernel
 from vo2_models.parameters import Value
 from vo2_models.self_sensing.records import BOUND_KNOTS, SECTION
 
@@ -56,7 +56,7 @@ def bound_table(kind: str, parameters: Mapping[str, Value]) -> Floats:
     return np.concatenate([knots, bounds])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def table_at(table, x):
     """Linear interpolation in [knots..., values...], constant outside."""
     m = table.size // 2

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from vo2_models.device import surrogate_of_temperature
@@ -21,6 +20,7 @@ from vo2_models.device.presets import preset
 from vo2_models.hysteresis import EGPI, RobustInverse
 from vo2_models.hysteresis.inverse_kernels import invert_update
 from vo2_models.hysteresis.kernels import egpi_step
+from vo2_models.numerics.kernel import kernel
 from vo2_models.parameters import Value
 from vo2_models.self_sensing.bounds import bound_table, table_at
 from vo2_models.self_sensing.records import COMPOSITE
@@ -34,7 +34,7 @@ _MARGIN_K = 10.0
 """How far beyond the operating temperatures the inverse may search [K]: overshoot and a warmer ambient."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def composite_step(resistance, inverse, deflection, thermal, table, state):
     """One sample: (deflection [m], temperature [degC], surrogate [A], bound [m]).
 

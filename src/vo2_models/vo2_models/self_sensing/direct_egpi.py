@@ -11,13 +11,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.device.bank import PlayBank
 from vo2_models.hysteresis import EGPI
 from vo2_models.hysteresis.kernels import egpi_step
 from vo2_models.identification.bank_fit import fit_bank, starting_shape
+from vo2_models.numerics.kernel import kernel
 from vo2_models.parameters import Value
 from vo2_models.self_sensing.bounds import bound_table, table_at
 from vo2_models.self_sensing.records import SECTION
@@ -30,7 +30,7 @@ __all__ = ["DirectEGPISelfSensing"]
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def direct_egpi_step(resistance, domain, packed, table, state):
     """(deflection [m], NaN, NaN, bound [m]); `state` is updated in place."""
     tip = egpi_step(scaled_one(resistance, domain), packed, state)

@@ -11,12 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from vo2_models.device.bank import PlayBank
 from vo2_models.device.mode import mode_step
 from vo2_models.identification.bank_fit import BankShape
+from vo2_models.numerics.kernel import kernel
 from vo2_models.parameters import Value
 from vo2_models.self_sensing.bounds import bound_table
 from vo2_models.self_sensing.composite import CompositeSelfSensing
@@ -34,7 +34,7 @@ _JITTER = 0.1
 """Largest deviation of a sample interval, relative, for a recording to count as evenly sampled."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def advance_mode(static, step, share, memory):
     """Deflection [m] with the mode after the next static one; `memory` (4,) is updated in place.
 

@@ -12,13 +12,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from vo2_models.device.mode import mode_step
 from vo2_models.identification.bank_fit import BankShape, evaluate, shape_rules
 from vo2_models.identification.levenberg_marquardt import levenberg_marquardt
+from vo2_models.numerics.kernel import kernel
 
 __all__ = ["REMOVED", "ModeFit", "fit_law_through_mode", "fit_mode", "through_mode"]
 
@@ -64,7 +64,7 @@ class ModeFit:
     removed: float
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def through_mode(columns, step, out):
     """Pass each column of (n, m) through the mode from rest at its first sample; `step` from `mode_step`."""
     for j in range(columns.shape[1]):
@@ -78,7 +78,7 @@ def through_mode(columns, step, out):
             out[k, j] = z
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def grid_gain(static, residual, used, steps, gains):
     """Residual energy over the samples `used` that each step of (g, 2, 4) removes with its best share in [0, 1]."""
     for g in range(steps.shape[0]):

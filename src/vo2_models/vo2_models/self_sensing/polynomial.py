@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from vo2_models.numerics.kernel import kernel
 from vo2_models.parameters import Value
 from vo2_models.self_sensing.bounds import bound_table, table_at
 from vo2_models.self_sensing.records import SECTION
@@ -25,7 +25,7 @@ __all__ = ["PolynomialSelfSensing"]
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def polynomial_step(resistance, domain, coefficients, table):
     """(deflection [m], NaN, NaN, bound [m]) by Clenshaw's recurrence; held constant outside the domain."""
     x = math.log10(resistance)

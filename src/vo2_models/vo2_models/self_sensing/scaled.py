@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from vo2_models.numerics.kernel import kernel
 
 __all__ = ["COLD", "HOT", "domain_of", "scaled", "scaled_one"]
 
@@ -32,7 +33,7 @@ def scaled(log_resistance: Floats, domain: Floats) -> Floats:
     return COLD + (HOT - COLD) * (domain[1] - log_resistance) / (domain[1] - domain[0])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def scaled_one(resistance, domain):
     """`scaled` of one resistance [ohm]."""
     return COLD + (HOT - COLD) * (domain[1] - math.log10(resistance)) / (domain[1] - domain[0])

@@ -13,8 +13,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+from vo2_models.numerics.kernel import kernel
 
 from vo2_studies.challenge.devices import ARRHENIUS, Device
 from vo2_studies.challenge.domains import Domains
@@ -60,7 +60,7 @@ class Terms(NamedTuple):
     feedback: float = 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _set_level(level, state, place, up, up_grain, down, down_grain, weight, fraction):
     """Move the grains' input to `level`; return the new transformed fraction.
 
@@ -87,7 +87,7 @@ def _set_level(level, state, place, up, up_grain, down, down_grain, weight, frac
     return fraction
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _stefan(temperature, heat, shift, latent, state, place, up, up_grain, down, down_grain, weight, fraction):
     """Add `heat` [K] to the film, grain by grain; return temperature, fraction and heat owed to the next step."""
     before = fraction  # the shift may have moved since the last step: settle first
@@ -121,7 +121,7 @@ def _stefan(temperature, heat, shift, latent, state, place, up, up_grain, down, 
     return temperature, fraction, 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _rate(t1, power, ambient, tau, fraction, cooling_ratio, beta, exponent, gamma, tcr, squared, pump):
     """Return dT1/dt [K/s] without latent heat; `pump` is the Peltier's pumping times current [1]."""
     rise = t1 - ambient
@@ -133,7 +133,7 @@ def _rate(t1, power, ambient, tau, fraction, cooling_ratio, beta, exponent, gamm
     return slope / cooling_ratio if slope < 0 else slope
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _core(
     current, ambient, local, step, tau, gain, squared, terms, film, start,
     up_m, up_m_grain, down_m, down_m_grain, up_s, up_s_grain, down_s, down_s_grain, weight,

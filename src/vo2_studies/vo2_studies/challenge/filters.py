@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
+from vo2_models.numerics.kernel import kernel
 
 __all__ = ["backlash", "lag", "log_relaxation", "oscillator", "rate_limit"]
 
@@ -21,7 +21,7 @@ def lag(values: Array, step: float, time_constant: float) -> Array:
     return np.asarray(out)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def rate_limit(values: Array, most: float) -> Array:
     """Return `values` (n,) followed with at most `most` change per element, starting from 0."""
     out = np.empty_like(values)
@@ -32,7 +32,7 @@ def rate_limit(values: Array, most: float) -> Array:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def backlash(values: Array, half_width: float) -> Array:
     """Return `values` (n,) behind a play of `half_width` that sticks until overcome."""
     out = np.empty_like(values)
@@ -43,7 +43,7 @@ def backlash(values: Array, half_width: float) -> Array:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def oscillator(values: Array, step: float, frequency: float, damping: float) -> Array:
     """Return x (n,) of x'' + 2 z w x' + w^2 x = w^2 v(t), exact for v linear between elements.
 
@@ -70,7 +70,7 @@ def oscillator(values: Array, step: float, frequency: float, damping: float) -> 
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def log_relaxation(temperature: Array, step: float, strength: float, onset: float, erase: float) -> Array:
     """Return the drift x (n,) that grows as strength ln(1 + t / onset) while the temperature rests.
 

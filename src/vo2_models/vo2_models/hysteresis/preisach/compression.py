@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from vo2_models.hysteresis.preisach.grid import cell_areas
 from vo2_models.hysteresis.preisach.operator import PreisachOperator
+from vo2_models.numerics.kernel import kernel
 
 __all__ = ["Compression", "Criterion", "compress", "evaluate_partition"]
 
@@ -54,7 +54,7 @@ def _interval(first: NDArray[np.int64], stop: NDArray[np.int64]) -> NDArray[np.i
     return stop * (stop - 1) // 2 + first
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fill(information, masses, areas, loss, entropy):
     """Fill loss and loss log loss for every rectangle of cells with beta <= alpha, from the prefix sums."""
     level = areas.shape[0] - 1
@@ -87,7 +87,7 @@ def _loss_tables(mass: Floats, area: Floats) -> tuple[Floats, Floats]:
     return loss, entropy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _enumerate(loss, entropy, level, target, criterion):
     """Return the best inner walls (depth first, all of them) and how many choices were compared.
 

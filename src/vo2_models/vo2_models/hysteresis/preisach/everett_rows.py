@@ -11,12 +11,12 @@ Nodes (a, b), b < a <= L are packed like the cells: (1, 0), (2, 0), (2, 1), ...
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from vo2_models.hysteresis.preisach.grid import cell_count, checked_walls
 from vo2_models.hysteresis.preisach.kernels import HEADER, turn_and_wipe
+from vo2_models.numerics.kernel import kernel
 from vo2_models.validation import finite_array
 
 __all__ = ["everett_rows", "mass_gradient", "mass_gram", "mass_map", "node_values"]
@@ -24,7 +24,7 @@ __all__ = ["everett_rows", "mass_gradient", "mass_gram", "mass_map", "node_value
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def _add(a, b, value, at, row, rows, columns, values):
     """Append `value` times E[a, b], which is symmetric and zero for a = b."""
     if a == b or value == 0.0:
@@ -36,7 +36,7 @@ def _add(a, b, value, at, row, rows, columns, values):
     return at + 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _legs(v, state, walls, kept, rows, columns, values):
     """Follow the memory; write the entries of the samples `kept` if there is room for any, and count the legs.
 
@@ -145,7 +145,7 @@ def mass_map(level: int) -> sparse.csr_array:
     return sparse.coo_array(entries, shape=(i.size, i.size)).tocsr()
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _accumulate(packed, level, outwards):
     """Node values from masses (`outwards`), or the adjoint of that, in place on each row."""
     for r in range(packed.shape[0]):

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.hysteresis.preisach.kernels import HEADER, cell_polynomial, leg_start, locate, step
 from vo2_models.hysteresis.preisach.memory import PreisachState
 from vo2_models.hysteresis.preisach.operator import PreisachOperator
+from vo2_models.numerics.kernel import kernel
 from vo2_models.validation import finite_array
 
 __all__ = ["PreisachInverse"]
@@ -21,7 +21,7 @@ RESIDUAL = 1e-9
 """An output counts as reached if it is met within this share of the output range."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def invert(target, state, table, walls, half, buckets, scale):
     """Return the input that leads from `state` to output `target`, and move the state there; NaN if it is full.
 
@@ -81,7 +81,7 @@ def invert(target, state, table, walls, half, buckets, scale):
     return v if u == u else np.nan
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def invert_run(u, v, reached, first, tolerance, state, table, walls, half, buckets, scale):
     """`invert` along a sequence; return how far it came (`u.size`, unless the state is full)."""
     for k in range(first, u.size):

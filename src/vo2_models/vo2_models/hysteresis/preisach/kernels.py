@@ -17,7 +17,8 @@ Operator arguments, in this order (`PreisachOperator.compiled`): `table` (L + 1,
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from vo2_models.numerics.kernel import kernel
 
 __all__ = [
     "HEADER",
@@ -34,7 +35,7 @@ HEADER = 3
 """Elements of a state array before the turning points."""
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def locate(v, walls, buckets, scale):
     """Return the cell that holds `v`, which must lie on the grid."""
     last = walls.size - 2
@@ -54,7 +55,7 @@ def locate(v, walls, buckets, scale):
     return cell
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def leg_start(base_v, walls, half, buckets, scale):
     """Return q, share, parabola: cell of the leg's first point, where in it, and what the diagonal adds there."""
     q = locate(base_v, walls, buckets, scale)
@@ -63,13 +64,13 @@ def leg_start(base_v, walls, half, buckets, scale):
     return q, y / width, half[q] * y * (y - width)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def _node(q, share, p, table):
     """Return the Everett function at wall `p`, between the nodes of the leg's first point."""
     return (1.0 - share) * table[q, p] + share * table[q + 1, p]
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def _polynomial(sign, base_u, left, right, parabola, p, walls, half):
     """Return `cell_polynomial` from the Everett function at the cell's walls."""
     width = walls[p + 1] - walls[p]
@@ -79,7 +80,7 @@ def _polynomial(sign, base_u, left, right, parabola, p, walls, half):
     return c0, c1, c2
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def cell_polynomial(sign, base_u, q, share, parabola, p, table, walls, half):
     """Return c0, c1, c2: the output on cell `p` is c0 + c1 t + c2 t^2 with t = v - walls[p].
 
@@ -91,7 +92,7 @@ def cell_polynomial(sign, base_u, q, share, parabola, p, table, walls, half):
     return _polynomial(sign, base_u, left, right, parabola, p, walls, half)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def turn_and_wipe(v, state, walls):
     """Push the turning point if `v` reverses, wipe out what it passes, and return n; -1 if there is no room."""
     n = int(state[0])
@@ -114,7 +115,7 @@ def turn_and_wipe(v, state, walls):
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def step(v, state, table, walls, half, buckets, scale):
     """Apply one input and return the output; `state` changes in place.
 
@@ -140,7 +141,7 @@ def step(v, state, table, walls, half, buckets, scale):
     return state[2]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def run(v, out, first, state, table, walls, half, buckets, scale):
     """Apply `v[first:]`, write `out[first:]`, and return how far it came (`v.size`, unless the state is full).
 
@@ -208,7 +209,7 @@ def run(v, out, first, state, table, walls, half, buckets, scale):
     return v.size
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def run_devices(v, out, done, state, table, walls, half, buckets, scale):
     """`run` for each row of `v` (devices, n) with its row of `state`; `done` (devices,) says how far each came."""
     complete = True

@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from vo2_models.hysteresis.preisach.inverse import RESIDUAL
 from vo2_models.hysteresis.preisach.kernels import HEADER, cell_polynomial, leg_start, locate
 from vo2_models.hysteresis.preisach.memory import PreisachState
 from vo2_models.hysteresis.preisach.nonmonotonic import NonMonotonicPreisach
+from vo2_models.numerics.kernel import kernel
 
 __all__ = ["Inversion", "NonMonotonicInverse"]
 
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def first_root(quadratic, linear, rise, limit):
     """Return the smallest d in (0, limit] with quadratic d^2 + linear d = rise, or -1: (5.19)."""
     if quadratic == 0.0:
@@ -38,7 +38,7 @@ def first_root(quadratic, linear, rise, limit):
     return min(d, limit)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def search(target, rises, state, q0, q1, q2, table, walls, half, buckets, scale):
     """Move monotonically until the output meets `target`; return that temperature (or NaN) and the iterations.
 

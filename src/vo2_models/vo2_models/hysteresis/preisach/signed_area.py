@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.hysteresis.preisach.grid import Diagonal, cell_areas, cell_count, checked_walls, pack
 from vo2_models.hysteresis.preisach.kernels import HEADER, turn_and_wipe
+from vo2_models.numerics.kernel import kernel
 from vo2_models.validation import finite_array
 
 __all__ = ["signed_area_matrix"]
@@ -15,7 +15,7 @@ __all__ = ["signed_area_matrix"]
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _add_strip(row, factor, begin, end, top, walls, square):
     """Add `factor` times the area under height `top` for beta in [begin, end] to the packed cells."""
     for j in range(walls.size - 1):
@@ -37,7 +37,7 @@ def _add_strip(row, factor, begin, end, top, walls, square):
             row[i * (i + 1) // 2 + j] += factor * area
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _signed_areas(v, first, state, walls, square, areas, out):
     """Fill `out[first:, :K]`, or only follow the memory if `areas` is empty.
 

@@ -1,0 +1,1 @@
+"""Numerical machinery that knows no physics: compiled kernels and their cache."""
