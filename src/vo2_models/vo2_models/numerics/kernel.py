@@ -15,7 +15,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +75,7 @@ def source_digest(*paths: str) -> str:
     return total.hexdigest()[:24]
 
 
-class _Locator(_CacheLocator):  # type: ignore[misc]
+class _Locator(_CacheLocator):
     """A folder for each digest; numba asks for a stamp as well, which is the digest again."""
 
     def __init__(self, name: str, digest: str, line: int) -> None:
@@ -103,20 +103,20 @@ def _remove_unused(folder: Path) -> None:
             shutil.rmtree(old, ignore_errors=True)  # another process may have removed it
 
 
-class _Storage(CompileResultCacheImpl):  # type: ignore[misc]
+class _Storage(CompileResultCacheImpl):
     def __init__(self, function: Callable[..., Any], locator: _Locator) -> None:
         self._lineno = function.__code__.co_firstlineno
         self._locator = locator
         self._filename_base = self.get_filename_base(function.__qualname__, sys.abiflags)
 
 
-class _KernelCache(FunctionCache):  # type: ignore[misc]
+class _KernelCache(FunctionCache):
     """Numba's cache of one function, in the folder of its digest."""
 
     def __init__(self, function: Callable[..., Any], digest: str) -> None:
         name = function.__module__.rpartition(".")[2]
         locator = _Locator(name, digest, function.__code__.co_firstlineno)
-        self._impl_class = lambda function: _Storage(function, locator)
+        self._impl_class = partial(_Storage, locator=locator)  # type: ignore[assignment]
         super().__init__(function)
 
 
