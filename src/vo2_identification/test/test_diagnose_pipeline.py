@@ -11,13 +11,13 @@ from vo2_identification.diagnose import main
 from vo2_identification.fit import model_of
 from vo2_models.device import DeviceModel, preset, surrogate_of_temperature, truth
 from vo2_models.diagnosis import diagnose, study, validate
-from vo2_models.diagnosis.evidence import gather
+from vo2_models.diagnosis.assemble_diagnosis import assemble_diagnosis
 from vo2_models.diagnosis.files import write_results
 from vo2_models.diagnosis.nominal import Nominal
+from vo2_models.diagnosis.pairs import Option
 from vo2_models.diagnosis.part import prepare
 from vo2_models.diagnosis.pipeline import _worsens
-from vo2_models.diagnosis.several import Option
-from vo2_models.diagnosis.statement import assemble
+from vo2_models.diagnosis.problem import linearise_problem
 from vo2_models.identification.excitation import Excitation, composite_recording, damped_oscillation
 from vo2_models.model_file import load_model_parameters, save_model_parameters
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
@@ -90,7 +90,7 @@ def test_a_calibration_at_one_rate_raises_no_alarm_at_another(device_seed) -> No
     found = calibrated(device_seed)
     seen = study([concealed(device_seed=device_seed)], found)
     assert not seen.differs
-    assert seen.pull < 25.0
+    assert seen.constants_chi_square < 25.0
     # the calibration cannot tell the time constant from the loops: without what it knows of both there is an alarm
     alone = {name: value for name, value in found.items() if "_by_" not in name}
     assert len(alone) == len(found) - 4
@@ -100,12 +100,12 @@ def test_a_calibration_at_one_rate_raises_no_alarm_at_another(device_seed) -> No
 def test_the_tangent_of_a_lag_takes_the_loops_along(parameters) -> None:
     nominal = Nominal.from_parameters(parameters)
     parts = [prepare(concealed(), nominal)]
-    here = gather(nominal, parts)
+    here = linearise_problem(nominal, parts)
     step = 0.2 * np.eye(len(here.names))[here.names.index("thermal.time_constant")]
-    there = gather(nominal, parts, shift=step, shapes=here.shapes)
+    there = linearise_problem(nominal, parts, shift=step, shapes=here.shapes)
     held = here.responses({}, step)  # the loops as they were
     taken_along = here.stack(there.nominal_responses, held)
-    follow = here.follow @ step
+    follow = here.loop_coupling @ step
     assert np.linalg.norm(follow) > 5.0  # standard deviations
     assert np.linalg.norm(taken_along - follow) < 0.05 * np.linalg.norm(follow)
 
@@ -157,7 +157,7 @@ def test_a_channel_that_an_effect_does_not_reach_says_nothing_against_it(creepin
 def test_shares_are_of_what_can_be_explained_where_the_base_hides_the_excess(creeping) -> None:
     hidden = replace(creeping, total_excess=-0.1, excess=dict.fromkeys(creeping.excess, -0.1))
     for seen in (creeping, hidden):
-        first, *others = assemble(seen).candidates
+        first, *others = assemble_diagnosis(seen).candidates
         assert first.id == "creep" and 0.97 < first.explained_share <= 1.0
         assert others and all(0.0 <= c.explained_share < first.explained_share for c in others)
         for c in others:
@@ -225,7 +225,7 @@ def late_on_one_loop(parameters):
 
 def test_on_one_loop_what_is_found_has_rivals_and_an_experiment(late_on_one_loop) -> None:
     _, _, seen = late_on_one_loop
-    answer = assemble(seen)
+    answer = assemble_diagnosis(seen)
     assert seen.one_loop and any("one and the same loop" in text for text in answer.limits)
     rivals = {name for pair in seen.rival_pairs for name in pair}
     assert {"clock_offset", "sensor_lag"} <= rivals
@@ -310,11 +310,11 @@ def test_two_effects_are_found_together_the_larger_first(parameters) -> None:
     }
     seen = study([concealed(both)], parameters)
     alone = {e.hypotheses[0].record.id: e.gain for e in seen.singles}
-    named = [e.id for e in assemble(seen).effects]
+    named = [e.id for e in assemble_diagnosis(seen).effects]
     assert named == sorted(both, key=lambda name: -alone[name])
     assert seen.chosen is not None
     turned = replace(seen.chosen, hypotheses=seen.chosen.hypotheses[::-1], values=seen.chosen.values[::-1])
-    assert [e.id for e in assemble(replace(seen, chosen=turned)).effects] == named
+    assert [e.id for e in assemble_diagnosis(replace(seen, chosen=turned)).effects] == named
 
 
 def test_a_coarser_converter_is_named_with_little_to_gain(parameters) -> None:

@@ -1,4 +1,4 @@
-"""What the base of a diagnosis is built of, against plain references written from the definitions."""
+"""What the nuisance model of a diagnosis is built of, against plain references written from the definitions."""
 
 from dataclasses import replace
 
@@ -9,19 +9,19 @@ from scipy.signal import lfilter
 from vo2_models.device import DeviceModel
 from vo2_models.device.bank import PlayBank
 from vo2_models.device.coefficients import HUGE, Sensor, sensor_index
-from vo2_models.diagnosis.base import Coverage, _block_covariance, coverage, thermal_spread
-from vo2_models.diagnosis.carry import carried, corrected_film
 from vo2_models.diagnosis.decide import Thresholds
-from vo2_models.diagnosis.evidence import QUICKEST, gather
 from vo2_models.diagnosis.explain import Explanation, fit_jointly, score, switched
 from vo2_models.diagnosis.hypotheses import MAGNITUDE_STEP, Hypothesis, hypotheses, windowed
 from vo2_models.diagnosis.locate import breakdown, locate
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of, rounded_with_noise
+from vo2_models.diagnosis.nuisance import Coverage, _block_covariance, coverage, thermal_spread
+from vo2_models.diagnosis.pairs import _untried
+from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.part import prepare
+from vo2_models.diagnosis.problem import QUICKEST, linearise_problem
+from vo2_models.diagnosis.propagate_correction import corrected_film, propagate_correction
 from vo2_models.diagnosis.reading import as_commanded, between_samples, current_reading
-from vo2_models.diagnosis.several import _untried
-from vo2_models.diagnosis.side_by_side import side_by_side
 from vo2_models.diagnosis.tangent import Tangent
 from vo2_models.effects import effects
 from vo2_models.identification.digest import CalibrationDigest
@@ -139,7 +139,7 @@ def test_what_acts_behind_the_film_may_share_its_simulation(name) -> None:
     chain = model.simulation.with_effects(changes)
     for channel in (RESISTANCE, TIP_DEFLECTION):  # a coarse converter is told by its mean
         chain.coefficients[sensor_index(channel, Sensor.STEP)] = 0.0
-    alone = carried(chain, corrected_film(chain, chain.run(current, dt=dt), dt, fold), dt)
+    alone = propagate_correction(chain, corrected_film(chain, chain.run(current, dt=dt), dt, fold), dt)
     if effect.id != "adc_quantization":
         assert np.array_equal(shared.channels[RESISTANCE], np.log10(alone[:, 1]))
         assert np.array_equal(shared.channels[TIP_DEFLECTION], alone[:, 2])
@@ -155,8 +155,10 @@ def test_only_the_last_of_several_steps_is_returned_where_no_more_is_asked_for()
     }
     chain = chain.with_effects(slow)
     film = corrected_film(chain, chain.run(current, dt=dt), dt, {})
-    assert np.array_equal(carried(chain, film, dt, every=4), carried(chain, film, dt)[3::4])
-    assert carried(chain, film, dt, every=7).shape == (current.size // 7, 9)
+    assert np.array_equal(
+        propagate_correction(chain, film, dt, every=4), propagate_correction(chain, film, dt)[3::4]
+    )
+    assert propagate_correction(chain, film, dt, every=7).shape == (current.size // 7, 9)
 
 
 @pytest.mark.parametrize(
@@ -181,15 +183,15 @@ def test_the_tangent_of_the_loop_is_what_a_changed_loop_changes(effects) -> None
         TIP_DEFLECTION: shown[TIP_DEFLECTION],
     }
     parts = [prepare(Recording(time, channels, "integrated"), nominal)]
-    evidence = gather(nominal, parts, effects=effects)
+    problem = linearise_problem(nominal, parts, effects=effects)
     for place, channel in enumerate((RESISTANCE, TIP_DEFLECTION)):
-        shape, loop = evidence.shapes[channel], evidence.loops[channel]
+        shape, loop = problem.shapes[channel], problem.loops[channel]
         moved = replace(shape, mean=shape.mean + 0.1 * loop.directions[:, -1])
-        changed = gather(
-            nominal, parts, effects=effects, shapes={**evidence.shapes, channel: moved}, loops=evidence.loops
+        changed = linearise_problem(
+            nominal, parts, effects=effects, shapes={**problem.shapes, channel: moved}, loops=problem.loops
         )
-        rows, block = evidence.base.blocks[place]
-        change = evidence.residual[rows] - changed.residual[rows]
+        rows, block = problem.nuisance.blocks[place]
+        change = problem.residual[rows] - changed.residual[rows]
         assert np.linalg.norm(change - 0.1 * block[:, -1]) < 0.01 * np.linalg.norm(change)
 
 
@@ -202,28 +204,28 @@ def test_switching_times_are_found_by_search() -> None:
     recording = Recording(
         dt * np.arange(current.size), {HEATER_CURRENT: current, RESISTANCE: 10.0**shown}, "integrated"
     )
-    evidence = gather(nominal, [prepare(recording, nominal)])
+    problem = linearise_problem(nominal, [prepare(recording, nominal)])
     hypothesis = Hypothesis(effects()["laser_heating"], "", (), {"rise": 0.1, "start": 0.01, "stop": 0.01})
     start = {"rise": 2.0, "start": 0.5, "stop": 2.2}
-    found = switched(evidence, hypothesis, start, evidence.residual)
+    found = switched(problem, hypothesis, start, problem.residual)
     assert abs(found["start"] - 0.731) < 0.02  # from 0.23 and 0.34 s off
     assert abs(found["stop"] - 1.862) < 0.02  # from 0.23 and 0.34 s off
     assert 0.4 < found["rise"] < 1.2
 
 
 def test_no_residual_makes_the_device_much_quicker_than_it_was() -> None:
-    evidence = _changed({})
-    moved = evidence.moved(np.full(len(evidence.names), -1e3))
-    values, _ = thermal_spread(evidence.nominal.model)
+    problem = _changed({})
+    moved = problem.moved(np.full(len(problem.names), -1e3))
+    values, _ = thermal_spread(problem.nominal.model)
     assert moved["thermal.time_constant"] == QUICKEST * values["thermal.time_constant"]
 
 
 def test_what_stays_on_is_never_switched_off() -> None:
-    evidence = _changed({"laser_heating": {"rise": 0.8, "start": 0.731}})
+    problem = _changed({"laser_heating": {"rise": 0.8, "start": 0.731}})
     hypothesis = Hypothesis(
         effects()["laser_heating"], "", ({"rise": 0.2},), {"rise": 0.1, "start": 0.01, "stop": 0.01}
     )
-    found = switched(evidence, hypothesis, {"rise": 2.0, "start": 0.5, "stop": HUGE}, evidence.residual)
+    found = switched(problem, hypothesis, {"rise": 2.0, "start": 0.5, "stop": HUGE}, problem.residual)
     assert abs(found["start"] - 0.731) < 0.02
     assert 0.4 < found["rise"] < 1.2  # the size is found, the time is not multiplied with it
     assert found["stop"] == HUGE
@@ -233,7 +235,7 @@ def test_when_it_was_on_is_asked_of_the_residual_at_hand() -> None:
     """What one effect leaves over may tell other times than the whole residual did."""
     early = _changed({"laser_heating": {"rise": 0.8, "start": 0.4, "stop": 1.1}})
     late = _changed({"laser_heating": {"rise": 0.8, "start": 1.9, "stop": 2.6}})
-    left = [e.left(e.residual) for e in (early, late)]
+    left = [e.apply_inverse_covariance(e.residual) for e in (early, late)]
     before = next(h for h in hypotheses(early, "integrated", left[0]) if h.record.id == "laser_heating")
     after = windowed(late, before, left[1])
     for hypothesis, start, stop in ((before, 0.4, 1.1), (after, 1.9, 2.6)):
@@ -251,23 +253,23 @@ def _changed(changes: dict[str, dict[str, float | str]], size: int = 3000, ar: t
     shown = shown + 1e-3 * np.random.default_rng(1).normal(size=size)
     time = dt * np.arange(size)
     recording = Recording(time, {HEATER_CURRENT: current, RESISTANCE: 10.0**shown}, "integrated")
-    return gather(nominal, [prepare(recording, nominal)])
+    return linearise_problem(nominal, [prepare(recording, nominal)])
 
 
 def test_a_refit_ends_where_no_small_change_fits_better() -> None:
     kinetics = {"transition_kinetics": {"time_constant": 4e-3}, "nonlinear_heat_loss": {"share": 0.1}}
-    evidence = _changed(kinetics)
+    problem = _changed(kinetics)
     both = [
         Hypothesis(effects()["transition_kinetics"], "", ({"time_constant": 1e-3},), {"time_constant": 2e-4}),
         Hypothesis(effects()["nonlinear_heat_loss"], "", ({"share": 0.02},), {"share": 0.005}),
     ]
-    found = fit_jointly(evidence, both, [h.starts[0] for h in both])
+    found = fit_jointly(problem, both, [h.starts[0] for h in both])
     assert found.values[0]["time_constant"] == pytest.approx(4e-3, rel=0.05)
 
     def q(values) -> float:
         merged = {h.key: h.effects(v)[h.key] for h, v in zip(both, values, strict=True)}
-        change = evidence.deviation(merged, found.shift)
-        return evidence.chi_square(evidence.residual - change)
+        change = problem.deviation(merged, found.shift)
+        return problem.chi_square(problem.residual - change)
 
     assert q(found.values) == pytest.approx(found.chi_square, rel=1e-9)
     for index, name, step in ((0, "time_constant", 2e-4), (1, "share", 0.005)):
@@ -279,38 +281,37 @@ def test_a_refit_ends_where_no_small_change_fits_better() -> None:
 
 def test_a_bound_stops_one_effect_and_not_the_other() -> None:
     """A heater that gains with temperature looks like a loss of negative size, which there is not."""
-    evidence = _changed({"transition_kinetics": {"time_constant": 4e-3}, "heater_tcr": {"alpha": 1e-3}})
+    problem = _changed({"transition_kinetics": {"time_constant": 4e-3}, "heater_tcr": {"alpha": 1e-3}})
     both = [
         Hypothesis(effects()["nonlinear_heat_loss"], "", ({"share": 0.02},), {"share": 0.005}),
         Hypothesis(effects()["transition_kinetics"], "", ({"time_constant": 1e-3},), {"time_constant": 2e-4}),
     ]
-    found = fit_jointly(evidence, both, [h.starts[0] for h in both])
-    alone = fit_jointly(evidence, both[1:], [both[1].starts[0]])
+    found = fit_jointly(problem, both, [h.starts[0] for h in both])
+    alone = fit_jointly(problem, both[1:], [both[1].starts[0]])
     assert found.values[0]["share"] == 0.0
     assert found.values[1]["time_constant"] == pytest.approx(alone.values[0]["time_constant"], rel=0.02)
 
 
 def test_on_a_short_recording_nothing_is_tried_that_is_not_physical() -> None:
     """In a fifth of a second a drift that bends visibly would bend faster than the catalogue allows."""
-    evidence = _changed({"ambient_drift": {"rate": 0.5}}, size=200)
-    left = evidence.left(evidence.residual)
-    drifts = [h for h in hypotheses(evidence, "integrated", left) if h.record.id == "ambient_drift"]
+    problem = _changed({"ambient_drift": {"rate": 0.5}}, size=200)
+    left = problem.apply_inverse_covariance(problem.residual)
+    drifts = [h for h in hypotheses(problem, "integrated", left) if h.record.id == "ambient_drift"]
     assert drifts[0].scales["curvature"] / MAGNITUDE_STEP > drifts[0].bounds("curvature")[1]
-    found = score(evidence, drifts, evidence.residual)
+    found = score(problem, drifts, problem.residual)
     assert 0 < abs(found[0].start["curvature"]) <= drifts[0].bounds("curvature")[1]
 
 
 def test_a_place_is_told_by_the_change_over_the_noise_power() -> None:
     """Slow noise must not hide that a slow change is in a channel: its innovations would tell less of it."""
-    evidence = _changed({}, ar=(0.9,))
+    problem = _changed({}, ar=(0.9,))
     warmer = {"laser_heating": {"rise": 0.5}}
-    found = breakdown(evidence, evidence.deviation(warmer), floor=0.0)
+    found = breakdown(problem, problem.deviation(warmer), floor=0.0)
     plain = (
-        evidence.responses(warmer)[0].channels[RESISTANCE]
-        - evidence.nominal_responses[0].channels[RESISTANCE]
+        problem.responses(warmer)[0].channels[RESISTANCE] - problem.nominal_responses[0].channels[RESISTANCE]
     )
     level = 1e-3 / np.sqrt(1 - 0.9**2)
-    counts = evidence.weight > 0
+    counts = problem.weight > 0
     assert found[0].excess == pytest.approx(np.sum((plain[counts] / level) ** 2), rel=1e-6)
 
 
@@ -325,31 +326,31 @@ def test_a_branch_is_told_by_its_energy_per_sample() -> None:
         {HEATER_CURRENT: current, RESISTANCE: 10.0 ** shown.channels[RESISTANCE]},
         "integrated",
     )
-    evidence = gather(nominal, [prepare(recording, nominal)])
+    problem = linearise_problem(nominal, [prepare(recording, nominal)])
     rate = np.gradient(shown.temperature)
-    counts = evidence.weight > 0
+    counts = problem.weight > 0
     for change, place in (
         (np.ones(rate.size), "both"),
         (np.where(rate > 0, 1.0, 0.3), "heating"),
         (np.where(rate > 0, 0.3, 1.0), "cooling"),  # less energy while cooling than while heating, all in all
     ):
-        found = locate(evidence, breakdown(evidence, change * counts, floor=0.0))
+        found = locate(problem, breakdown(problem, change * counts, floor=0.0))
         assert found[0].branch == place
 
 
 @pytest.mark.parametrize("ar", [(), (0.9,)])
 def test_noise_alone_has_no_excess_anywhere(ar) -> None:
-    evidence = _changed({}, ar=ar)
-    found = breakdown(evidence, np.random.default_rng(7).normal(size=evidence.weight.size))
+    problem = _changed({}, ar=ar)
+    found = breakdown(problem, np.random.default_rng(7).normal(size=problem.weight.size))
     assert abs(found[0].excess) < 0.3 * found[0].floor
-    twice = breakdown(evidence, 2 * np.random.default_rng(7).normal(size=evidence.weight.size))
+    twice = breakdown(problem, 2 * np.random.default_rng(7).normal(size=problem.weight.size))
     assert twice[0].excess == pytest.approx(3 * found[0].floor, rel=0.4)
 
 
 def test_side_by_side_keeps_the_order_and_raises() -> None:
-    assert side_by_side(lambda x: x**2, range(20)) == [x**2 for x in range(20)]
+    assert parallel_map(lambda x: x**2, range(20)) == [x**2 for x in range(20)]
     with pytest.raises(ZeroDivisionError):
-        side_by_side(lambda x: 1 / x, [2, 1, 0])
+        parallel_map(lambda x: 1 / x, [2, 1, 0])
 
 
 @pytest.mark.parametrize("share", [0.05, 0.3, 1.0])
@@ -384,8 +385,11 @@ def test_a_rest_is_covered_and_the_way_from_it_is_not() -> None:
 
 
 def test_what_takes_longer_than_the_recording_is_no_creep() -> None:
-    evidence = _changed({})
-    found = {h.record.id: h for h in hypotheses(evidence, "integrated", evidence.left(evidence.residual))}
+    problem = _changed({})
+    found = {
+        h.record.id: h
+        for h in hypotheses(problem, "integrated", problem.apply_inverse_covariance(problem.residual))
+    }
     mode = found["second_thermal_mode"]
     assert mode.bounds("time_constant")[1] == pytest.approx(3 * 3000 * 1e-3)
     assert mode.ends("time_constant", 9.0) and not mode.ends("time_constant", 8.0)

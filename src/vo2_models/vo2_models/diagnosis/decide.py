@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.diagnosis.evidence import Evidence
 from vo2_models.diagnosis.explain import Explanation, fit_jointly
 from vo2_models.diagnosis.hypotheses import Hypothesis
-from vo2_models.diagnosis.side_by_side import side_by_side
+from vo2_models.diagnosis.parallel import parallel_map
+from vo2_models.diagnosis.problem import LinearisedProblem
 
 __all__ = ["HeldOut", "Thresholds", "block_folds", "held_out", "probabilities"]
 
@@ -28,7 +28,7 @@ class Thresholds:
 
     Attributes
     ----------
-    gain : least drop of q of a named effect; on some fifty recordings without effect whose drop was looked at,
+    gain : least drop of chi-square of a named effect; on some fifty recordings without effect whose drop was looked at,
         the largest drop was 329
     evident_gain : the same of an effect that the values show by themselves, as those of a coarse converter do
     sigmas : least distance of a magnitude from neutral, in its standard deviations
@@ -43,18 +43,19 @@ class Thresholds:
     second : a second effect explains at least this share of what the first leaves over...
     second_of_all : ... and this share of the excess of the channels where it acts
     thorough : from this share of what is left over on, the next two do not matter: no wrong equation leaves so little
-    alike : ... and its pattern has at most this cosine with the first's: an equation that is a little off leaves
+    second_cosine : ... and its pattern has at most this cosine with the first's: an equation that is a little off leaves
         something like itself
     excess, channel_excess : where nothing is named, a recording differs if the residual's power exceeds the noise
         by this much, or a single channel's by that
     plain : excess below which a residual that nothing predicts on held-out blocks is taken for noise or misfit
-    rival : rivals within this difference of q (5 sigma) are not told apart; on one loop every effect is a rival that is
+    rival : rivals within this difference of chi-square (5 sigma) are not told apart; on one loop every effect is a rival that is
         not `dominated`, as an error in the loop's shape looks like any of them
-    apart : difference of q (10 sigma) to every other effect with which one is named that constants could stand for
+    apart : difference of chi-square (10 sigma) to every other effect with which one is named that constants could
+        stand for
     tie : pairs within this share of what the best leaves over are equally good: the one with fewer parameters is named
-    pull : squared move of the thermal parameters, in their standard deviations, from which a recording differs by a
-        constant even if no effect saves a name's gain; of some hundred unchanged devices none moved half as far
-    pull_told : the same from which it is told beside a verdict
+    constants_chi_square : squared move of the thermal parameters, in their standard deviations, from which a recording
+        differs by a constant even if no effect saves a name's gain; of some hundred unchanged devices none moved half as far
+    constants_reported : the same from which it is told beside a verdict
     temper : how many times more the likelihood ratio must be than white noise would need
     temper_on_one_loop : the same there, as a share of what the best effect explains
     """
@@ -72,20 +73,20 @@ class Thresholds:
     second: float = 0.55
     second_of_all: float = 0.005
     thorough: float = 0.85
-    alike: float = 0.25
+    second_cosine: float = 0.25
     excess: float = 0.25
     channel_excess: float = 0.4
     plain: float = 0.4
     rival: float = 25.0
     apart: float = 100.0
     tie: float = 0.02
-    pull: float = 100.0
-    pull_told: float = 40.0
+    constants_chi_square: float = 100.0
+    constants_reported: float = 40.0
     temper: float = 8.0
     temper_on_one_loop: float = 0.1
 
     def least(self, hypothesis: Hypothesis) -> float:
-        """Least drop of q with which a hypothesis is named."""
+        """Least drop of chi-square with which a hypothesis is named."""
         return self.evident_gain if hypothesis.evident else self.gain
 
 
@@ -96,7 +97,7 @@ class HeldOut:
     Attributes
     ----------
     share : of the excess explained
-    drop : of q of the held-out blocks, given the others
+    drop : of chi-square of the held-out blocks, given the others
     before, after, floor : channel -> root mean square in judged units: nominal simulation, explained, noise
     spread : largest relative spread of a parameter over the folds, in standard deviations of the fit
     stable : whether every fold agrees in sign and within a factor of two on every magnitude
@@ -110,20 +111,20 @@ class HeldOut:
     stable: bool
 
 
-def block_folds(evidence: Evidence, *, blocks: int = 20) -> list[NDArray[np.bool_]]:
+def block_folds(problem: LinearisedProblem, *, blocks: int = 20) -> list[NDArray[np.bool_]]:
     """Two folds of alternating long blocks, each (N,) True where a sample is held out."""
-    odd = np.zeros(evidence.weight.size, dtype=bool)
-    for row, part, _ in evidence.iterate():
+    odd = np.zeros(problem.weight.size, dtype=bool)
+    for row, part, _ in problem.iterate():
         place = np.arange(part.size) * blocks // part.size
         odd[row.where] = place % 2 == 1
     return [odd, ~odd]
 
 
 def held_out(
-    evidence: Evidence,
+    problem: LinearisedProblem,
     explanation: Explanation | None,
     *,
-    reference: Evidence | None = None,
+    reference: LinearisedProblem | None = None,
     folds: Sequence[NDArray[np.bool_]] | None = None,
     tick: Callable[[], None] = lambda: None,
 ) -> HeldOut:
@@ -131,13 +132,13 @@ def held_out(
 
     Parameters
     ----------
-    evidence : the problem, about the explanation where there is one
-    explanation : what is judged; None judges the base alone
+    problem : the problem, about the explanation where there is one
+    explanation : what is judged; None judges the nuisance model alone
     reference : the problem about the nominal simulation, which the gain is told against
     folds : held-out masks; two of alternating long blocks by default
     tick : called once per simulation
     """
-    nominal = evidence if reference is None else reference
+    nominal = problem if reference is None else reference
     temperature = np.empty(nominal.weight.size)
     for row, _, response in nominal.iterate():
         temperature[row.where] = response.temperature
@@ -153,33 +154,33 @@ def held_out(
     squares: dict[str, dict[str, float]] = {"before": {}, "after": {}}
     numbers: dict[str, int] = {}
     estimates = []
-    masks = list(folds or block_folds(evidence))
+    masks = list(folds or block_folds(problem))
 
-    def trained(held: NDArray[np.bool_]) -> tuple[Evidence, Explanation | None]:
-        training = evidence.restricted(~held)
+    def trained(held: NDArray[np.bool_]) -> tuple[LinearisedProblem, Explanation | None]:
+        training = problem.restricted(~held)
         if explanation is None:
             return training, None
         hypotheses, values = explanation.hypotheses, explanation.values
         return training, fit_jointly(training, hypotheses, values, iterations=3, tick=tick)
 
-    for held, (training, fitted) in zip(masks, side_by_side(trained, masks), strict=True):
-        change = np.zeros(evidence.weight.size)
+    for held, (training, fitted) in zip(masks, parallel_map(trained, masks), strict=True):
+        change = np.zeros(problem.weight.size)
         if fitted is not None:
             estimates.append(fitted.values)
-            change = evidence.deviation(fitted.effects, fitted.shift)
-        weights = training.absorb(training.residual - np.where(held, 0.0, change))
+            change = problem.deviation(fitted.effects, fitted.shift)
+        weights = training.fit_nuisance(training.residual - np.where(held, 0.0, change))
         plainly = nominal.restricted(~held)
-        rest = evidence.residual - change
-        with_it = rest - evidence.base.times(weights)
-        use = held & (evidence.weight > 0) & reached(~held)
-        # q of all minus q of the training blocks: how unlikely the held-out blocks are, given the others
+        rest = problem.residual - change
+        with_it = rest - problem.nuisance.times(weights)
+        use = held & (problem.weight > 0) & reached(~held)
+        # chi-square of all minus that of the training blocks: how unlikely the held-out blocks are, given the others
         before_energy += q_nominal - plainly.chi_square(plainly.residual)
-        after_energy += evidence.chi_square(rest) - training.chi_square(np.where(held, 0.0, rest))
+        after_energy += problem.chi_square(rest) - training.chi_square(np.where(held, 0.0, rest))
         count += int(np.count_nonzero(use))
-        for row in evidence.rows:
+        for row in problem.rows:
             some = use[row.where]
-            noise = evidence.nominal.noise[row.channel]
-            weight = np.where(evidence.weight[row.where] > 0, evidence.weight[row.where], 1.0)
+            noise = problem.nominal.noise[row.channel]
+            weight = np.where(problem.weight[row.where] > 0, problem.weight[row.where], 1.0)
             for name, vector in (("before", nominal.residual), ("after", with_it)):
                 plain = noise.color(vector[row.where] / weight)
                 squares[name][row.channel] = squares[name].get(row.channel, 0.0) + float(
@@ -192,24 +193,26 @@ def held_out(
         name: {c: float(np.sqrt(v / max(numbers[c], 1))) for c, v in by.items()}
         for name, by in squares.items()
     }
-    floor = {c: evidence.nominal.noise[c].level for c in numbers}
+    floor = {c: problem.nominal.noise[c].level for c in numbers}
     return HeldOut(
         share,
         before_energy - after_energy,
         root["before"],
         root["after"],
         floor,
-        _stable(evidence, explanation, estimates),
+        _stable(problem, explanation, estimates),
     )
 
 
 def _stable(
-    evidence: Evidence, explanation: Explanation | None, estimates: Sequence[Sequence[dict[str, float]]]
+    problem: LinearisedProblem,
+    explanation: Explanation | None,
+    estimates: Sequence[Sequence[dict[str, float]]],
 ) -> bool:
     """Whether both folds find that every effect does the same, within a factor of two and a half in size."""
     if explanation is None or len(estimates) < 2:
         return True
-    plain = replace(evidence, included={})
+    plain = replace(problem, included={})
     for index, hypothesis in enumerate(explanation.hypotheses):
         fitted = [n for n in explanation.values[index] if n not in hypothesis.choices]
         free = [n for n in fitted if not hypothesis.logarithmic(n)]
@@ -223,12 +226,11 @@ def _stable(
         # a magnitude means little without its shape: compare what the effect does
         without = plain.responses({})
         one, other = (
-            evidence.stack(plain.responses(hypothesis.effects(fold[index])), without) for fold in estimates
+            problem.stack(plain.responses(hypothesis.effects(fold[index])), without) for fold in estimates
         )
-        # as it is, or what of it the base cannot take up: of a mode's slow heat the base may have any part
-        if not any(
-            _agree(one, other, *left) for left in ((one, other), (evidence.left(one), evidence.left(other)))
-        ):
+        # as it is, or what of it the nuisance model cannot take up: of a mode's slow heat that may have any part
+        beyond = [problem.apply_inverse_covariance(each) for each in (one, other)]
+        if not (_agree(one, other, one, other) or _agree(one, other, *beyond)):
             return False
     return True
 
@@ -247,11 +249,11 @@ def _agree(one: Floats, other: Floats, left_one: Floats, left_other: Floats) -> 
 def probabilities(
     chi_squares: Sequence[float], parameters: Sequence[int], *, count: int, temper: float
 ) -> Floats:
-    """Posterior probabilities of rivals from q and the number of parameters, tempered for what q does not know.
+    """Posterior probabilities of rivals from chi-square and the number of parameters, tempered for what that does not know.
 
     Parameters
     ----------
-    chi_squares : q of each
+    chi_squares : of each
     parameters : number of fitted parameters of each; each costs log(count)
     count : number of samples
     temper : divides the log likelihood ratios

@@ -1,4 +1,4 @@
-"""Fit hypotheses: scores for all, bounded Gauss-Newton with the base refitted for those that promise most."""
+"""Fit hypotheses: scores for all, bounded Gauss-Newton with the nuisance model refitted for those that promise most."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device.coefficients import HUGE
-from vo2_models.diagnosis.evidence import Evidence
 from vo2_models.diagnosis.hypotheses import MAGNITUDE_STEP, Hypothesis
+from vo2_models.diagnosis.problem import LinearisedProblem
 
 __all__ = ["Explanation", "Score", "fit_jointly", "score", "switched"]
 
@@ -26,17 +26,17 @@ SMALLEST = 1e-3
 BRIEF = 4
 """Iterations after which a refit shows whether it is worth going on."""
 SHOWS = 4.0
-"""Change of q by a step of a parameter from which a bound that it has come to matters."""
+"""Change of chi-square by a step of a parameter from which a bound that it has come to matters."""
 FORGONE = 100.0
-"""Drop of q beyond a bound from which the bound matters: a quarter of what makes a name."""
+"""Drop of chi-square beyond a bound from which the bound matters: a quarter of what makes a name."""
 CORRECTED = 4
 """Steps at most with a tangent that is corrected by the steps before, until it is taken anew."""
 FORESEEN = 0.25
-"""Share of the expected drop of q that a step must bring for the tangent to be corrected, not taken anew."""
+"""Share of the expected drop of chi-square that a step must bring for the tangent to be corrected, not taken anew."""
 SETTLED = 1e-4
-"""Share of the whole drop of q below which a step's drop shows that the next would bring next to nothing."""
+"""Share of the whole drop of chi-square below which a step's drop shows that the next would bring next to nothing."""
 TOLD = 0.1
-"""Drop of q, in units of the residual's power over the noise's, below which two fits are the same."""
+"""Drop of chi-square, in units of the residual's power over the noise's, below which two fits are the same."""
 BATCH = 32
 """Simulations judged together; one matrix product serves them all."""
 
@@ -45,7 +45,7 @@ BATCH = 32
 class Score:
     """How far a hypothesis gets from a starting value, without a refit of its shape.
 
-    `visible` is the q that its largest starting value would make: below some tens the recording does not excite it.
+    `visible` is the chi-square that its largest starting value would make: below some tens the recording does not excite it.
     """
 
     hypothesis: Hypothesis
@@ -56,20 +56,20 @@ class Score:
 
 @dataclass(frozen=True)
 class Explanation:
-    """One or more hypotheses, fitted together with the base.
+    """One or more hypotheses, fitted together with the nuisance model.
 
     Attributes
     ----------
     hypotheses : what is added
     values : one mapping of parameter values for each
-    chi_square : q with them
-    gain : how much they lower q
+    chi_square : chi-square with them
+    gain : how much they lower it
     covariance : (p, p) of the scaled coordinates
     coordinates : (hypothesis index, parameter) of each coordinate
     deviation : (N,) whitened change of the simulation
     tangent : (N, p) its derivative
     at_bound : parameters that ended at a physical bound
-    shift : how far the base moved its thermal parameters, in units of their columns
+    shift : how far the nuisance model moved its thermal parameters, in units of their columns
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -143,7 +143,7 @@ def _moved(hypothesis: Hypothesis, name: str, value: float, step: float) -> floa
 
 
 def score(
-    evidence: Evidence,
+    problem: LinearisedProblem,
     hypotheses: Sequence[Hypothesis],
     residual: Floats,
     *,
@@ -156,9 +156,9 @@ def score(
 
     Parameters
     ----------
-    evidence : the problem
+    problem : the problem
     hypotheses : what is tried
-    residual : (N,) whitened, what is still to be explained; base not taken out
+    residual : (N,) whitened, what is still to be explained; nuisance model not taken out
     tick : called once per simulation
 
     Returns
@@ -166,15 +166,15 @@ def score(
     the best start of each hypothesis, best hypothesis first
     """
     # what happens between samples changes a size, not whether a refit is worth it; but like is compared with like
-    fine = bool(evidence.included)
-    left = evidence.left(residual)
+    fine = bool(problem.included)
+    left = problem.apply_inverse_covariance(residual)
     best: dict[str, Score] = {h.key: Score(h, h.starts[0], 0.0) for h in hypotheses}
     trials: list[tuple[Hypothesis, dict[str, float]]] = []
     for hypothesis in hypotheses:
         if len(hypothesis.magnitudes) < 2:
             trials += [(hypothesis, dict(start)) for start in hypothesis.starts]
             continue
-        combined, seen = _combined(evidence, hypothesis, left, tick)
+        combined, seen = _combined(problem, hypothesis, left, tick)
         trials += [(hypothesis, values) for values in combined]
         best[hypothesis.key] = replace(best[hypothesis.key], visible=seen)
     for _ in range(ROUNDS):
@@ -182,11 +182,11 @@ def score(
         for first in range(0, len(trials), BATCH):
             some = trials[first : first + BATCH]
             columns = np.column_stack(
-                evidence.deviations([h.effects(values) for h, values in some], fine=fine)
+                problem.deviations([h.effects(values) for h, values in some], fine=fine)
             )
             for _ in some:
                 tick()
-            own = evidence.chi_squares(columns)
+            own = problem.chi_squares(columns)
             along = left @ columns
             for place, (hypothesis, values) in enumerate(some):
                 a, o = float(along[place]), float(own[place])
@@ -219,13 +219,13 @@ def _promising(
 
 
 def _combined(
-    evidence: Evidence, hypothesis: Hypothesis, left: Floats, tick: Callable[[], None]
+    problem: LinearisedProblem, hypothesis: Hypothesis, left: Floats, tick: Callable[[], None]
 ) -> tuple[list[dict[str, float]], float]:
     """Starts of a hypothesis with several magnitudes: for every shape the sizes that explain most together.
 
     Returns
     -------
-    starts, and the largest q that a magnitude alone would make at its typical size
+    starts, and the largest chi-square that a magnitude alone would make at its typical size
     """
     names = hypothesis.magnitudes
     # on a short recording what would be visible may be more than is physical
@@ -237,13 +237,13 @@ def _combined(
         for shape in shapes
         for n in names
     ]
-    columns = np.column_stack(evidence.deviations([hypothesis.effects(values) for values in trials]))
+    columns = np.column_stack(problem.deviations([hypothesis.effects(values) for values in trials]))
     for _ in trials:
         tick()
     for k in range(columns.shape[1]):
         if k % len(names):
             columns[:, k] -= columns[:, k - k % len(names)]
-    projected = evidence.left(columns)
+    projected = problem.apply_inverse_covariance(columns)
     starts = []
     for k, shape in enumerate(shapes):
         own = slice(k * len(names), (k + 1) * len(names))
@@ -274,7 +274,7 @@ def _rescaled(
 
 
 def switched(
-    evidence: Evidence,
+    problem: LinearisedProblem,
     hypothesis: Hypothesis,
     start: Mapping[str, float],
     residual: Floats,
@@ -290,19 +290,19 @@ def switched(
     names = [n for n in hypothesis.switches if abs(values.get(n, np.inf)) < HUGE]
     if not names:
         return values
-    left = evidence.left(residual)
-    length = max(part.size * part.dt for part in evidence.parts)
+    left = problem.apply_inverse_covariance(residual)
+    length = max(part.size * part.dt for part in problem.parts)
 
     def judged(trials: Sequence[Mapping[str, float]]) -> list[tuple[float, float]]:
-        columns = np.column_stack(evidence.deviations([hypothesis.effects(v) for v in trials]))
+        columns = np.column_stack(problem.deviations([hypothesis.effects(v) for v in trials]))
         for _ in trials:
             tick()
-        along, own = left @ columns, np.maximum(evidence.chi_squares(columns), 1e-9)
+        along, own = left @ columns, np.maximum(problem.chi_squares(columns), 1e-9)
         return [(float(a * abs(a) / o), float(a / o)) for a, o in zip(along, own, strict=True)]
 
     best, factor = judged([values])[0]
     step = length / 20
-    while step > max(part.dt for part in evidence.parts):
+    while step > max(part.dt for part in problem.parts):
         trials = [{**values, n: values[n] + sign * step} for n in names for sign in (1.0, -1.0)]
         if len(names) == 2:  # what is on for a moment only is no change of the rig but a disturbance
             trials = [t for t in trials if t[names[1]] - t[names[0]] > SHORTEST * length] or [values]
@@ -321,18 +321,18 @@ def switched(
 
 
 def fit_jointly(
-    evidence: Evidence,
+    problem: LinearisedProblem,
     hypotheses: Sequence[Hypothesis],
     starts: Sequence[Mapping[str, float]],
     *,
     iterations: int = 12,
     tick: Callable[[], None] = lambda: None,
 ) -> Explanation:
-    """Bounded Levenberg-Marquardt in the parameters of all hypotheses, the base refitted at every step.
+    """Bounded Levenberg-Marquardt in the parameters of all hypotheses, the nuisance model refitted at every step.
 
     Parameters
     ----------
-    evidence : the problem, or a part of it (`Evidence.restricted`)
+    problem : the problem, or a part of it (`LinearisedProblem.restricted`)
     hypotheses, starts : what is added, and where to begin
     iterations : at most
     tick : called once per simulation
@@ -341,26 +341,26 @@ def fit_jointly(
     coordinates = tuple(
         (k, name) for k, start in enumerate(values) for name in start if name not in hypotheses[k].choices
     )
-    problem = _Joint(evidence, tuple(hypotheses), coordinates, tick)
-    shift = evidence.origin.copy()
-    values, change, q = problem.descend(values, shift, iterations)
+    descent = _Joint(problem, tuple(hypotheses), coordinates, tick)
+    shift = problem.origin.copy()
+    values, change, chi = descent.descend(values, shift, iterations)
     for _ in range(2):
-        moved = evidence.absorb(evidence.residual - change)[-shift.size :] if shift.size else shift
+        moved = problem.fit_nuisance(problem.residual - change)[-shift.size :] if shift.size else shift
         if not shift.size or np.max(np.abs(moved - shift)) < 1.0:
             break
-        tangent = problem.tangent
-        trial = problem.descend(values, moved, 4)
-        if trial[2] >= q:  # the base is not linear that far
-            problem.tangent = tangent
+        tangent = descent.tangent
+        trial = descent.descend(values, moved, 4)
+        if trial[2] >= chi:  # the nuisance model is not linear that far
+            descent.tangent = tangent
             break
-        (values, change, q), shift = trial, moved
-    if not problem.tangent.size:
-        problem.linearise(values, change, shift)
-    left = evidence.left(problem.tangent)
-    covariance = _covariance(evidence, problem.tangent, left, evidence.residual - change)
+        (values, change, chi), shift = trial, moved
+    if not descent.tangent.size:
+        descent.linearise(values, change, shift)
+    left = problem.apply_inverse_covariance(descent.tangent)
+    covariance = _covariance(problem, descent.tangent, left, problem.residual - change)
     # a shape that hardly shows, and would gain nothing beyond its bound, is nowhere
-    curvature = np.sum(problem.tangent * left, axis=0)
-    beyond = (left.T @ (evidence.residual - change)) ** 2 / np.maximum(curvature, 1e-9)
+    curvature = np.sum(descent.tangent * left, axis=0)
+    beyond = (left.T @ (problem.residual - change)) ** 2 / np.maximum(curvature, 1e-9)
     shows = (curvature > SHOWS) | (beyond > FORGONE)
     at_bound = tuple(
         f"{hypotheses[k].key}.{name}"
@@ -368,31 +368,31 @@ def fit_jointly(
         if shows[place] and hypotheses[k].ends(name, values[k][name])
     )
     return Explanation(
-        tuple(hypotheses), tuple(values), q, evidence.q - q, covariance, coordinates, change, problem.tangent,
-        at_bound, shift,
+        tuple(hypotheses), tuple(values), chi, problem.residual_chi_square - chi, covariance, coordinates, change,
+        descent.tangent, at_bound, shift,
     )  # fmt: skip
 
 
 def _covariance(
-    evidence: Evidence, tangent: Floats, left: Floats, residual: Floats, blocks: int = 24
+    problem: LinearisedProblem, tangent: Floats, left: Floats, residual: Floats, blocks: int = 24
 ) -> Floats:
     """Covariance of the coordinates, widened for misfit that is correlated over long stretches.
 
     The sandwich H^-1 S H^-1 with the scores summed over long blocks: what the model says where the residual is
-    noise, and what the scatter between blocks says where it is not. The scores are taken with what the base leaves
+    noise, and what the scatter between blocks says where it is not. The scores are taken with what the nuisance model leaves
     of the tangent: of the tangent itself, blocks would scatter by what cancels between them.
     """
     if not tangent.shape[1]:
         return np.zeros((0, 0))
     inverse = np.linalg.pinv(tangent.T @ left + 1e-9 * np.eye(tangent.shape[1]))
-    remaining = evidence.left(residual)
+    remaining = problem.apply_inverse_covariance(residual)
     scores = []
-    for row, part, _ in evidence.iterate():
+    for row, part, _ in problem.iterate():
         edges = np.arange(blocks) * part.size // blocks
         scores.append(np.add.reduceat(left[row.where] * remaining[row.where, None], edges, axis=0))
     # a block of time is one piece of evidence for all channels together
     summed: dict[int, Floats] = {}
-    for (row, _, _), block in zip(evidence.iterate(), scores, strict=True):
+    for (row, _, _), block in zip(problem.iterate(), scores, strict=True):
         summed[row.part] = summed.get(row.part, 0.0) + block
     stacked = np.concatenate(list(summed.values()))
     spread = stacked.T @ stacked
@@ -404,22 +404,22 @@ def _covariance(
 
 
 class _Joint:
-    """Levenberg-Marquardt in the coordinates of several hypotheses; the base is eliminated at every step."""
+    """Levenberg-Marquardt in the coordinates of several hypotheses; the nuisance model is eliminated at every step."""
 
     def __init__(
         self,
-        evidence: Evidence,
+        problem: LinearisedProblem,
         hypotheses: tuple[Hypothesis, ...],
         coordinates: tuple[tuple[int, str], ...],
         tick: Callable[[], None],
     ) -> None:
-        self.evidence, self.hypotheses, self.coordinates, self.tick = evidence, hypotheses, coordinates, tick
-        self.tangent: Floats = np.zeros((evidence.weight.size, 0))
+        self.problem, self.hypotheses, self.coordinates, self.tick = problem, hypotheses, coordinates, tick
+        self.tangent: Floats = np.zeros((problem.weight.size, 0))
 
     def deviation(self, at: Sequence[Mapping[str, float]], shift: Floats) -> Floats:
         """Whitened change of the simulation."""
         self.tick()
-        return self.evidence.deviation(self._merged(at), shift)
+        return self.problem.deviation(self._merged(at), shift)
 
     def _merged(self, at: Sequence[Mapping[str, float]]) -> dict[str, dict[str, float | str]]:
         merged: dict[str, dict[str, float | str]] = {}
@@ -442,7 +442,7 @@ class _Joint:
                     places.append(place)
                     self.tick()
                     break
-        changes = self.evidence.deviations(trials, shift)
+        changes = self.problem.deviations(trials, shift)
         for place, length, moved_change in zip(places, lengths, changes, strict=True):
             tangent[:, place] = (moved_change - change) / length
         self.tangent = tangent
@@ -450,31 +450,31 @@ class _Joint:
     def descend(
         self, start: Sequence[Mapping[str, float]], shift: Floats, iterations: int
     ) -> tuple[list[dict[str, float]], Floats, float]:
-        """Return values, change and q at the minimum near the start.
+        """Return values, change and chi-square at the minimum near the start.
 
         The tangent is taken by differences at most `iterations` times. In between, where a step did nearly what was
         expected, it is corrected by what the step showed (Broyden's rank-one update), which needs no simulation. The
-        end is where no step is expected to lower q by anything that the residual could tell.
+        end is where no step is expected to lower chi-square by anything that the residual could tell.
         """
-        evidence, target = self.evidence, self.evidence.residual
-        base = evidence.base
+        problem, target = self.problem, self.problem.residual
+        nuisance = problem.nuisance
         values = [dict(v) for v in start]
         change = self.deviation(values, shift)
-        # what the base makes of a vector v comes from B'v alone, which is followed along: the base is long
+        # what the nuisance model makes of a vector v comes from B'v alone, which is followed along: the nuisance model is long
         rest = target - change
-        rest_seen = base.against(rest)
-        q = q_first = evidence.chi_square(rest, rest_seen)
+        rest_seen = nuisance.against(rest)
+        chi = chi_first = problem.chi_square(rest, rest_seen)
         damping = 1e-3
 
         def matters(drop: float, share: float) -> bool:
-            return drop > max(TOLD * q / max(evidence.count, 1), share * (q_first - q), 0.05)
+            return drop > max(TOLD * chi / max(problem.count, 1), share * (chi_first - chi), 0.05)
 
         for _ in range(iterations):
             self.linearise(values, change, shift)
-            tangent_seen = base.against(self.tangent)
-            q_here, ended = q, False
+            tangent_seen = nuisance.against(self.tangent)
+            chi_here, ended = chi, False
             for corrected in range(1 + CORRECTED):
-                taken = evidence.taken(tangent_seen)
+                taken = problem.nuisance_weights(tangent_seen)
                 normal = self.tangent.T @ self.tangent - tangent_seen.T @ taken
                 right = self.tangent.T @ rest - taken.T @ rest_seen
                 free = self._free(values, right)
@@ -491,26 +491,26 @@ class _Joint:
                     if expected > 0.0:
                         new = self.deviation(trial, shift)
                         rest_new = target - new
-                        new_seen = base.against(rest_new)
-                        q_new = evidence.chi_square(rest_new, new_seen)
-                        if q_new < q - 1e-6:
+                        new_seen = nuisance.against(rest_new)
+                        chi_new = problem.chi_square(rest_new, new_seen)
+                        if chi_new < chi - 1e-6:
                             improved = True
                             break
                     damping = max(damping * 30, 1e-3)
                 if not improved:
                     break
-                drop, unforeseen = q - q_new, new - change - self.tangent @ moved
+                drop, unforeseen = chi - chi_new, new - change - self.tangent @ moved
                 unforeseen_seen = rest_seen - new_seen - tangent_seen @ moved
-                values, change, q, rest, rest_seen = trial, new, q_new, rest_new, new_seen
+                values, change, chi, rest, rest_seen = trial, new, chi_new, rest_new, new_seen
                 damping = max(damping * 0.2, 1e-6)
                 if drop < FORESEEN * expected or not matters(drop, SETTLED):
                     break
                 along = moved / float(moved @ moved)
                 self.tangent = self.tangent + np.outer(unforeseen, along)
                 tangent_seen = tangent_seen + np.outer(unforeseen_seen, along)
-            if ended or not matters(q_here - q, SETTLED):
+            if ended or not matters(chi_here - chi, SETTLED):
                 break
-        return values, change, q
+        return values, change, chi
 
     def _free(self, values: Sequence[Mapping[str, float]], right: Floats) -> NDArray[np.bool_]:
         """Coordinates (p,) that no bound stops on the way down."""

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from vo2_models.diagnosis.assemble_diagnosis import assemble_diagnosis
 from vo2_models.diagnosis.nominal import THERMAL
 from vo2_models.diagnosis.pipeline import Study
 from vo2_models.diagnosis.report import report_page
 from vo2_models.diagnosis.result import Diagnosis
-from vo2_models.diagnosis.statement import assemble
 from vo2_models.model_file import save_model_parameters
 from vo2_models.parameters import Value
 
@@ -34,7 +34,7 @@ def write_results(
     study: Study, folder: Path, *, problems: Sequence[str] = (), seconds: float = 0.0
 ) -> Diagnosis:
     """Write `diagnosis.json`, `report.html` and `corrected_model.yaml` into `folder`; return the diagnosis."""
-    diagnosis = assemble(study)
+    diagnosis = assemble_diagnosis(study)
     diagnosis = replace(
         diagnosis, limits=[*problems, *diagnosis.limits], seconds=seconds or diagnosis.seconds
     )

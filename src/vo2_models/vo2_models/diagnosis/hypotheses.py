@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from vo2_models.device.coefficients import HUGE
-from vo2_models.diagnosis.evidence import Evidence
 from vo2_models.diagnosis.part import value_step
+from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.effects import Effect, effects
 from vo2_models.effects.record import CHOICE
 from vo2_models.parameters import Parameter
@@ -118,16 +118,16 @@ class Hypothesis:
         return float(parameter.default) > 0 and float(parameter.lower or 0.0) > 0  # type: ignore[arg-type]
 
 
-def hypotheses(evidence: Evidence, device: str, residual: Floats) -> list[Hypothesis]:
+def hypotheses(problem: LinearisedProblem, device: str, residual: Floats) -> list[Hypothesis]:
     """Return every hypothesis that can show in the recordings' channels.
 
     Parameters
     ----------
-    evidence : the problem
+    problem : the problem
     device : preset id
-    residual : (N,) what is to be explained, whitened, base taken out
+    residual : (N,) what is to be explained, whitened, nuisance model taken out
     """
-    measured = {row.channel for row in evidence.rows}
+    measured = {row.channel for row in problem.rows}
     found = []
     for record in effects().values():
         if device not in record.presets:
@@ -135,11 +135,11 @@ def hypotheses(evidence: Evidence, device: str, residual: Floats) -> list[Hypoth
         for signal in record.signals(device):
             if not measured & set(record.reaches(device, signal)):
                 continue
-            starts, scales = _starts(evidence, record, signal, device, residual)
+            starts, scales = _starts(problem, record, signal, device, residual)
             if starts:
-                on_grid = "step" in scales and _coarser_than_before(evidence, signal)
-                fastest = 0.5 / max(part.dt for part in evidence.parts)
-                slowest = SLOWEST * max(part.size * part.dt for part in evidence.parts)
+                on_grid = "step" in scales and _coarser_than_before(problem, signal)
+                fastest = 0.5 / max(part.dt for part in problem.parts)
+                slowest = SLOWEST * max(part.size * part.dt for part in problem.parts)
                 one = Hypothesis(
                     record, signal, tuple(starts), scales, evident=on_grid, fastest=fastest, slowest=slowest
                 )
@@ -147,18 +147,18 @@ def hypotheses(evidence: Evidence, device: str, residual: Floats) -> list[Hypoth
                     {n: min(v, one.bounds(n)[1]) if one.logarithmic(n) else v for n, v in start.items()}
                     for start in starts
                 )
-                found.append(windowed(evidence, replace(one, starts=inside), residual))
+                found.append(windowed(problem, replace(one, starts=inside), residual))
     return found
 
 
-def windowed(evidence: Evidence, hypothesis: Hypothesis, residual: Floats) -> Hypothesis:
+def windowed(problem: LinearisedProblem, hypothesis: Hypothesis, residual: Floats) -> Hypothesis:
     """The hypothesis, begun on and off again too, where it goes on and off at all, when the residual asks for it.
 
     Parameters
     ----------
-    evidence : the problem
+    problem : the problem
     hypothesis : with or without such starts; those of another residual are dropped
-    residual : (N,) what is to be explained, whitened, base taken out
+    residual : (N,) what is to be explained, whitened, nuisance model taken out
 
     Returns
     -------
@@ -168,8 +168,8 @@ def windowed(evidence: Evidence, hypothesis: Hypothesis, residual: Floats) -> Hy
         return hypothesis
     on, off = hypothesis.switches
     lasting = [start for start in hypothesis.starts if on not in start]
-    windows = _windows(evidence, hypothesis.record, hypothesis.signal, lasting[0], (on, off), residual)
-    length = max(part.time_s[-1] - part.time_s[0] for part in evidence.parts)
+    windows = _windows(problem, hypothesis.record, hypothesis.signal, lasting[0], (on, off), residual)
+    length = max(part.time_s[-1] - part.time_s[0] for part in problem.parts)
     return replace(
         hypothesis,
         starts=(*lasting, *({**start, on: a, off: b} for start in lasting[::2] for a, b in windows)),
@@ -177,20 +177,20 @@ def windowed(evidence: Evidence, hypothesis: Hypothesis, residual: Floats) -> Hy
     )
 
 
-def _coarser_than_before(evidence: Evidence, signal: str) -> bool:
+def _coarser_than_before(problem: LinearisedProblem, signal: str) -> bool:
     """Whether the values lie on a grid that the calibration's noise cannot have come from.
 
     A converter alone makes a noise of step / sqrt(12).
     """
     return any(
-        float(np.median(part.comb_level(signal))) > COARSE * evidence.nominal.noise[signal].level
-        for part in evidence.parts
+        float(np.median(part.comb_level(signal))) > COARSE * problem.nominal.noise[signal].level
+        for part in problem.parts
         if signal in part.comb
     )
 
 
 def _starts(
-    evidence: Evidence, record: Effect, signal: str, device: str, residual: Floats
+    problem: LinearisedProblem, record: Effect, signal: str, device: str, residual: Floats
 ) -> tuple[list[dict[str, float]], dict[str, float]]:
     typical = record.typical.get(f"{device}:{signal}") or record.typical.get(device, {})
     free = [p for p in record.parameters if p.name not in record.fixed]
@@ -199,7 +199,7 @@ def _starts(
         starts: list[dict[str, float]] = []
         scales: dict[str, float] = {}
         for p in limits:
-            seen = _values(evidence, signal or HEATER_CURRENT)
+            seen = _values(problem, signal or HEATER_CURRENT)
             spread = float(np.ptp(seen))
             upper = _neutral(p) > 0
             end = float(np.max(seen) if upper else np.min(seen))
@@ -222,7 +222,7 @@ def _starts(
             grids[p.name] = [0.0, 1.0]
             scales[p.name] = 1.0
         elif p.unit == "Hz":
-            grids[p.name] = _frequencies(evidence, record, signal, device, residual)
+            grids[p.name] = _frequencies(problem, record, signal, device, residual)
             scales[p.name] = 0.02
         elif _neutral(p) == 0.0 and not middle:
             grids[p.name] = [0.0]
@@ -243,12 +243,12 @@ def _starts(
             grids[p.name] = [_neutral(p)]
             scales[p.name] = 0.05
     if "step" in grids and signal:
-        step = value_step(_values(evidence, signal))
+        step = value_step(_values(problem, signal))
         if step:
             grids["step"] = [step]
     for p in free:
         if scales[p.name] == 0.0:  # a magnitude without typical value: what the whole recording makes visible
-            length = max(part.time_s[-1] - part.time_s[0] for part in evidence.parts)
+            length = max(part.time_s[-1] - part.time_s[0] for part in problem.parts)
             first = next((v for n, v in scales.items() if v), 0.0)
             scales[p.name] = first / length if p.unit.endswith("s^2") else first
     starts = []
@@ -259,7 +259,7 @@ def _starts(
 
 
 def _windows(
-    evidence: Evidence,
+    problem: LinearisedProblem,
     record: Effect,
     signal: str,
     start: Values,
@@ -274,15 +274,15 @@ def _windows(
     What was switched leaves a memory: the effect of a window is the difference of two effects that stay on, one from the
     begin and one from the end of it. Only for a single recording: times are told from its start.
     """
-    if len(evidence.parts) != 1:
+    if len(problem.parts) != 1:
         return []
-    part = evidence.parts[0]
+    part = problem.parts[0]
     times = np.linspace(0.0, part.size * part.dt, pieces + 1)[:-1]
     given: dict[str, float | str] = {**start, **({"signal": signal} if signal else {})}
     key = f"{record.id}:{signal}" if signal else record.id
-    lasting = np.column_stack(evidence.deviations([{key: {**given, names[0]: float(t)}} for t in times]))
+    lasting = np.column_stack(problem.deviations([{key: {**given, names[0]: float(t)}} for t in times]))
     gram = np.zeros((pieces + 1, pieces + 1))  # the last is never on
-    gram[:-1, :-1] = lasting.T @ evidence.left(lasting)
+    gram[:-1, :-1] = lasting.T @ problem.apply_inverse_covariance(lasting)
     along = np.append(residual @ lasting, 0.0)
     begin, end = np.triu_indices(pieces + 1, 2)
     own = gram[begin, begin] + gram[end, end] - 2.0 * gram[begin, end]
@@ -302,10 +302,10 @@ def _clipped(record: Effect, name: str, value: float) -> float:
     return float(np.clip(value, parameter.lower, parameter.upper))
 
 
-def _values(evidence: Evidence, channel: str) -> Floats:
+def _values(problem: LinearisedProblem, channel: str) -> Floats:
     """All values of a channel in its own unit; of the drive where the current is not compared."""
     found = []
-    for part in evidence.parts:
+    for part in problem.parts:
         if channel in part.observed:
             values = part.observed[channel][part.valid[channel]]
             found.append(10.0**values if channel == RESISTANCE else values)
@@ -316,12 +316,12 @@ def _values(evidence: Evidence, channel: str) -> Floats:
 
 
 def _frequencies(
-    evidence: Evidence, record: Effect, signal: str, device: str, residual: Floats
+    problem: LinearisedProblem, record: Effect, signal: str, device: str, residual: Floats
 ) -> list[float]:
     """Peaks of the residual's spectrum in the channels that the effect reaches, and a coarse grid [Hz]."""
     reached = record.reaches(device, signal)
     found: list[float] = []
-    for row, part, _ in evidence.iterate():
+    for row, part, _ in problem.iterate():
         if row.channel not in reached:
             continue
         size = min(2048, part.size)

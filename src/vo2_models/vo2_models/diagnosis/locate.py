@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from vo2_models.device import surrogate_of_temperature
-from vo2_models.diagnosis.evidence import Evidence
+from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.result import Location
 from vo2_models.numerics.kernel import kernel
 
@@ -53,7 +53,7 @@ class Breakdown:
     axes: Mapping[str, tuple[Sequence[float] | Sequence[str], Floats]]
 
 
-def breakdown(evidence: Evidence, residual: Floats, *, floor: float = 1.0) -> list[Breakdown]:
+def breakdown(problem: LinearisedProblem, residual: Floats, *, floor: float = 1.0) -> list[Breakdown]:
     """Split the excess energy of a whitened residual (N,) along every axis, channel by channel.
 
     Energy is that of the residual itself over the channel's noise power: of the innovations, a channel whose noise is
@@ -62,23 +62,23 @@ def breakdown(evidence: Evidence, residual: Floats, *, floor: float = 1.0) -> li
 
     Parameters
     ----------
-    evidence : the problem
+    problem : the problem
     residual : (N,) whitened, what is split
     floor : energy per sample that is noise: 1 for a residual, 0 for what a model says
     """
     found = []
-    for channel in dict.fromkeys(row.channel for row in evidence.rows):
+    for channel in dict.fromkeys(row.channel for row in problem.rows):
         pieces: dict[str, list[NDArray]] = {
             k: [] for k in ("energy", "time", "heating", "temperature", "amplitude", "order")
         }
         spectrum: Floats | None = None
         frequencies = np.zeros(0)
         offset = 0.0
-        for row, part, response in evidence.iterate():
+        for row, part, response in problem.iterate():
             if row.channel != channel:
                 continue
-            e, w = residual[row.where], evidence.weight[row.where]
-            counts, noise = w > 0, evidence.nominal.noise[channel]
+            e, w = residual[row.where], problem.weight[row.where]
+            counts, noise = w > 0, problem.nominal.noise[channel]
             plain = noise.color(e / np.where(counts, w, 1.0)) / noise.level
             energy = np.where(counts, (w * plain) ** 2 - floor, 0.0)
             direction, amplitude, order = _history(response.temperature)
@@ -198,7 +198,7 @@ def _turns(temperature, dead):
     return last, before, order
 
 
-def locate(evidence: Evidence, parts: Sequence[Breakdown]) -> list[Location]:
+def locate(problem: LinearisedProblem, parts: Sequence[Breakdown]) -> list[Location]:
     """Summarise a breakdown per channel: shares that add up to one over the channels with an excess."""
     positive = [b for b in parts if b.excess > 0]
     total = sum(b.excess for b in positive)
@@ -207,7 +207,7 @@ def locate(evidence: Evidence, parts: Sequence[Breakdown]) -> list[Location]:
         time = _spans(*b.axes["time"])  # type: ignore[arg-type]
         low, high = _middle(*b.axes["temperature"])  # type: ignore[arg-type]
         frequency = _middle(b.axes["frequency"][0], b.axes["frequency"][1])  # type: ignore[arg-type]
-        surrogate = sorted(surrogate_of_temperature(evidence.nominal.device, [low, high]).tolist())
+        surrogate = sorted(surrogate_of_temperature(problem.nominal.device, [low, high]).tolist())
         found.append(
             Location(
                 signal=b.channel,

@@ -1,7 +1,7 @@
 """What to record next where two explanations cannot be told apart.
 
 Every excitation of a library within the device's limits is simulated under both explanations. Their predicted
-distance is what remains after the second has refitted its parameters and the base its loop shape and heat, in
+distance is what remains after the second has refitted its parameters and the nuisance model its loop shape and heat, in
 standard deviations of the noise (T-optimal design of Atkinson and Fedorov). The largest wins; if even that
 is too small, no excitation separates them and something has to be changed by hand.
 """
@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device import preset, surrogate_of_temperature
-from vo2_models.diagnosis.evidence import Evidence, gather
 from vo2_models.diagnosis.explain import Explanation, _distance, _moved
 from vo2_models.diagnosis.hypotheses import Hypothesis
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.part import Part
+from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
 from vo2_models.diagnosis.result import NextExperiment
 from vo2_models.identification.excitation import chirp, first_order_reversal_fan, random_levels
 
@@ -123,7 +123,7 @@ def library(device: str, dt: float) -> list[Excitable]:
 
 
 def propose(
-    evidence: Evidence,
+    problem: LinearisedProblem,
     nominal: Nominal,
     first: Explanation,
     second: Explanation,
@@ -132,13 +132,13 @@ def propose(
     say: Callable[[str], None] = lambda text: None,
 ) -> NextExperiment:
     """Return the experiment that separates two explanations best, or what to change by hand."""
-    part = evidence.parts[0]
+    part = problem.parts[0]
     cold = preset(nominal.device).operating_range[0]
     best: tuple[float, Excitable] | None = None
     for excitable in library(nominal.device, part.dt):
         say(f"predicting: {excitable.name}")
         current = excitable.current(part.dt, cold)
-        distance = _predicted(evidence, nominal, first, second, current, part)
+        distance = _predicted(problem, nominal, first, second, current, part)
         if best is None or distance > best[0]:
             best = (distance, excitable)
     assert best is not None
@@ -170,12 +170,12 @@ def propose(
     )
 
 
-def by_hand(alike: Sequence[Hypothesis]) -> NextExperiment | None:
+def by_hand(mimics: Sequence[Hypothesis]) -> NextExperiment | None:
     """What to do about effects that act all the time and so cannot be told from a changed constant; None for none."""
-    if not alike:
+    if not mimics:
         return None
-    names = [h.record.id for h in alike]
-    needs = "; ".join(f"{h.record.id}: {h.record.excitation}" for h in alike)
+    names = [h.record.id for h in mimics]
+    needs = "; ".join(f"{h.record.id}: {h.record.excitation}" for h in mimics)
     return NextExperiment(
         why=f"Throughout this recording {' or '.join(names)} may have been at work, or a constant has changed.",
         separates=[names[0], "unknown"],
@@ -186,20 +186,20 @@ def by_hand(alike: Sequence[Hypothesis]) -> NextExperiment | None:
 
 
 def _predicted(
-    evidence: Evidence,
+    problem: LinearisedProblem,
     nominal: Nominal,
     first: Explanation,
     second: Explanation,
     current: Floats,
     like: Part,
 ) -> float:
-    """Distance of the predictions on a new recording after a refit of the second explanation and of the base."""
+    """Distance of the predictions on a new recording after a refit of the second explanation and of the nuisance model."""
     n = current.size
     part = Part(
         "proposal", np.arange(n, dtype=np.float64) * float(like.dt), like.dt, current, like.channels,
         {c: np.zeros(n) for c in like.channels}, {c: np.ones(n, dtype=bool) for c in like.channels},
     )  # fmt: skip
-    future = gather(nominal, [part], effects=second.effects, shapes=evidence.shapes)
+    future = linearise_problem(nominal, [part], effects=second.effects, shapes=problem.shapes)
     about = replace(future, included={})
     change = about.stack(about.responses(first.effects))
     tangent = []
@@ -216,11 +216,11 @@ def _predicted(
             merged |= h.effects(v)
         if actual:
             tangent.append(about.stack(about.responses(merged)) / actual)
-    left = future.left(change)
+    left = future.apply_inverse_covariance(change)
     total = float(change @ left)
     if tangent:
         columns = np.column_stack(tangent)
-        weighted = future.left(columns)
+        weighted = future.apply_inverse_covariance(columns)
         normal = columns.T @ weighted + _known(second)
         right = weighted.T @ change
         total -= float(right @ np.linalg.solve(normal + 1e-9 * np.eye(len(tangent)), right))

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from vo2_models.device import DeviceModel, preset
 from vo2_models.device.coefficients import CHANNELS, HUGE, Coefficient, Sensor, sensor_index
 from vo2_models.device.simulation import Simulation
-from vo2_models.diagnosis.carry import Film, carried, corrected_film, film_alone
 from vo2_models.diagnosis.noise import NoiseModel
+from vo2_models.diagnosis.propagate_correction import Film, corrected_film, film_alone, propagate_correction
 from vo2_models.identification.digest import CalibrationDigest
 from vo2_models.identification.enrichment import Correction, EnrichmentBasis
 from vo2_models.model_file import load_model_parameters
@@ -44,7 +44,7 @@ JUDGED_UNIT = {HEATER_CURRENT: "A", RESISTANCE: "log10 ohm", TIP_DEFLECTION: "m"
 """Unit in which a channel is compared: resistance in decades, the others as they are."""
 RINGING = 0.05
 """Cycles per sample from which a mode follows what happens between samples."""
-MOVED = 5.0
+LARGE_MOVE = 5.0
 """Move of a thermal parameter, in standard deviations, that may hide an effect."""
 TONES = 40
 """Tones of a staircase that are kept."""
@@ -239,7 +239,7 @@ class Nominal:
         if self.corrections:
             alone = film_alone(chain.coefficients)
             film = self._films(alone.tobytes(), current.tobytes(), dt)
-            out = _finite(carried(chain, film, dt, every=steps))
+            out = _finite(propagate_correction(chain, film, dt, every=steps))
         else:
             out = _bounded(chain.run(current, dt=dt))[steps - 1 :: steps]
         temperature = out[:, 5].clip(-1e4, 1e4)

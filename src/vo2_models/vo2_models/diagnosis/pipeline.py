@@ -12,22 +12,25 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from vo2_models.device.coefficients import HUGE
-from vo2_models.diagnosis.base import coverage, loop_shapes
+from vo2_models.diagnosis.assemble_diagnosis import assemble_diagnosis
 from vo2_models.diagnosis.check import Finding, Unusable, check_recording
 from vo2_models.diagnosis.decide import HeldOut, Thresholds, block_folds, held_out
-from vo2_models.diagnosis.evidence import Evidence, gather
 from vo2_models.diagnosis.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
 from vo2_models.diagnosis.hypotheses import Hypothesis, hypotheses
 from vo2_models.diagnosis.locate import Breakdown, breakdown, one_loop
 from vo2_models.diagnosis.next_experiment import by_hand, propose
 from vo2_models.diagnosis.noise import fit_noise
-from vo2_models.diagnosis.nominal import MOVED, Nominal, Response, loop_ends
+from vo2_models.diagnosis.nominal import LARGE_MOVE, Nominal, Response, loop_ends
+from vo2_models.diagnosis.nonparametric_correction import (
+    NonparametricCorrection,
+    fit_nonparametric_correction,
+)
+from vo2_models.diagnosis.nuisance import coverage, loop_shapes
+from vo2_models.diagnosis.pairs import Option, bend, option_of, pair_of, trace
+from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.part import Part, prepare
+from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
 from vo2_models.diagnosis.result import Diagnosis, NextExperiment
-from vo2_models.diagnosis.several import Option, bend, option_of, pair_of, trace
-from vo2_models.diagnosis.side_by_side import side_by_side
-from vo2_models.diagnosis.statement import assemble
-from vo2_models.diagnosis.unknown import Unnamed, describe_unknown
 from vo2_models.parameters import Value
 from vo2_models.recording import Recording
 
@@ -37,7 +40,7 @@ Floats = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 SHORTLIST = 6
 """Hypotheses that are refitted in full."""
-LOOSE = 0.5
+SWITCHING_UNCERTAINTY = 0.5
 """Standard deviation of a switching time, as a share of how long it was on, from which the switching is made up."""
 FAINT = 25.0
 """Score of a hypothesis from which a refit could make it worth a name."""
@@ -51,7 +54,7 @@ ONE_LOOP = Finding(
     "steps, smaller loops and other rates would tell more",
 )
 UNSEEN = 50.0
-"""An effect whose typical size would change q by less than this is not excited."""
+"""An effect whose typical size would change chi-square by less than this is not excited."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,7 @@ class Study:
     Attributes
     ----------
     nominal : fitted simulation
-    evidence : the problem, about the nominal simulation
+    problem : the problem, about the nominal simulation
     final : the problem about the best explanation (the same where there is none)
     findings : limits of the data
     scores : all hypotheses by promise
@@ -69,30 +72,30 @@ class Study:
     chosen : what is named, None for nothing
     rivals : explanations with one effect replaced, best first
     outside : correction without a name, None where not needed
-    judged : held-out quality of `chosen` (or of the base alone)
+    judged : held-out quality of `chosen` (or of the nuisance model alone)
     named_share : share of the excess that the named effects explain on held-out blocks
     breakdown : where the excess is
-    excess : channel -> excess power over noise power, base refitted
+    excess : channel -> excess power over noise power, nuisance model refitted
     total_excess : the same of all channels
     differs : whether the excess counts
     not_excited : ids of effects that these recordings would not show
     rival_pairs : named effect, rival that the recordings do not separate from it
     proposal : what to record next
-    moved : (t,) how far the base moved its thermal parameters beside what is named, in their standard deviations
-    alike : effects that would look like that move, best first; none where it is small
+    moved : (t,) how far the nuisance model moved its thermal parameters beside what is named, in their standard deviations
+    mimics : effects that would look like that move, best first; none where it is small
     one_loop : whether the film went over one loop only, on which many effects look alike
     """
 
     nominal: Nominal
-    evidence: Evidence
-    final: Evidence
+    problem: LinearisedProblem
+    final: LinearisedProblem
     findings: tuple[Finding, ...]
     thresholds: Thresholds
     scores: tuple[Score, ...] = ()
     singles: tuple[Explanation, ...] = ()
     chosen: Explanation | None = None
     rivals: tuple[Explanation, ...] = ()
-    outside: Unnamed | None = None
+    outside: NonparametricCorrection | None = None
     judged: HeldOut | None = None
     breakdown: tuple[Breakdown, ...] = ()
     excess: Mapping[str, float] = field(default_factory=dict)
@@ -103,12 +106,12 @@ class Study:
     rival_pairs: tuple[tuple[str, str], ...] = ()
     proposal: NextExperiment | None = None
     moved: Floats = field(default_factory=lambda: np.zeros(0))
-    alike: tuple[Hypothesis, ...] = ()
+    mimics: tuple[Hypothesis, ...] = ()
     one_loop: bool = False
     seconds: float = 0.0
 
     @property
-    def pull(self) -> float:
+    def constants_chi_square(self) -> float:
         """Squared move of the thermal parameters, in their standard deviations."""
         return float(self.moved @ self.moved)
 
@@ -149,7 +152,7 @@ def diagnose(
     ------
     Unusable : (a ValueError) data or model with which nothing can be said; one line with the reason.
     """
-    return assemble(study(recordings, model, progress=progress))
+    return assemble_diagnosis(study(recordings, model, progress=progress))
 
 
 def study(
@@ -190,30 +193,30 @@ def _studied(
     clock.say("simulating the recordings")
     shapes = loop_shapes(nominal)
     started = [
-        _started(part, replace(nominal, corrections={c: s.fold() for c, s in shapes.items()}))
+        _detect_initial_state(part, replace(nominal, corrections={c: s.fold() for c, s in shapes.items()}))
         for part in parts
     ]
-    parts, findings = _remembered(started, nominal, findings)
+    parts, findings = _mask_after_gaps(started, nominal, findings)
     paths = [response.temperature for _, response in started]
-    parts, findings = _covered(parts, paths, nominal, tuple(shapes), findings)
+    parts, findings = _mask_uncovered(parts, paths, nominal, tuple(shapes), findings)
     repeating = one_loop(paths, [part.dt for part in parts])
     if repeating:
         findings = [*findings, ONE_LOOP]
-    evidence = gather(nominal, parts, shapes=shapes, say=clock.say)
-    evidence = _settled_thermal(nominal, evidence, clock)
-    nominal, evidence = _recoloured(nominal, evidence, clock)
-    evidence = _settled_thermal(nominal, evidence, clock)
-    q = evidence.q
-    left = evidence.left(evidence.residual)
-    excess, total = _excess(evidence, left, q)
+    problem = linearise_problem(nominal, parts, shapes=shapes, say=clock.say)
+    problem = _relinearise_constants(nominal, problem, clock)
+    nominal, problem = _refine_noise_model(nominal, problem, clock)
+    problem = _relinearise_constants(nominal, problem, clock)
+    q = problem.residual_chi_square
+    left = problem.apply_inverse_covariance(problem.residual)
+    excess, total = _excess(problem, left, q)
     base = Study(
-        nominal, evidence, evidence, tuple(findings), limits, excess=excess, total_excess=total,
-        breakdown=tuple(breakdown(evidence, left)), one_loop=repeating,
+        nominal, problem, problem, tuple(findings), limits, excess=excess, total_excess=total,
+        breakdown=tuple(breakdown(problem, left)), one_loop=repeating,
     )  # fmt: skip
-    return _explained(base, clock)
+    return _search_and_decide(base, clock)
 
 
-def _started(part: Part, nominal: Nominal) -> tuple[Part, Response]:
+def _detect_initial_state(part: Part, nominal: Nominal) -> tuple[Part, Response]:
     """Take a recording as begun at its first current where that fits its first samples far better than a cold start."""
     tau = nominal.model.scalars["thermal.time_constant"]
     first = int(np.clip(np.ceil(5 * tau / part.dt), 3, part.size // 10))
@@ -231,7 +234,7 @@ def _started(part: Part, nominal: Nominal) -> tuple[Part, Response]:
     return part, cold
 
 
-def _remembered(
+def _mask_after_gaps(
     started: Sequence[tuple[Part, Response]], nominal: Nominal, findings: Sequence[Finding]
 ) -> tuple[list[Part], list[Finding]]:
     """Leave out what follows a long gap until the loops have forgotten it: until the film was outside of them."""
@@ -261,7 +264,7 @@ def _remembered(
     return parts, [*findings, forgotten]
 
 
-def _covered(
+def _mask_uncovered(
     given: Sequence[Part],
     paths: Sequence[Floats],
     nominal: Nominal,
@@ -291,90 +294,98 @@ def _covered(
     return parts, [*findings, uncovered]
 
 
-def _settled_thermal(nominal: Nominal, evidence: Evidence, clock: _Clock, *, rounds: int = 3) -> Evidence:
-    """Move to where the base's own refit puts the thermal parameters, until they stay: it is not linear in them."""
+def _relinearise_constants(
+    nominal: Nominal, problem: LinearisedProblem, clock: _Clock, *, rounds: int = 3
+) -> LinearisedProblem:
+    """Move to where the nuisance model's own refit puts the thermal parameters, until they stay: it is not linear in them."""
     for _ in range(rounds):
-        count = len(evidence.names)
-        shift = evidence.absorb(evidence.residual)[-count:] if count else np.zeros(0)
-        if not count or float(np.max(np.abs(shift - evidence.origin))) < 0.7:
+        count = len(problem.names)
+        shift = problem.fit_nuisance(problem.residual)[-count:] if count else np.zeros(0)
+        if not count or float(np.max(np.abs(shift - problem.origin))) < 0.7:
             break
-        moved = gather(
-            nominal, evidence.parts, shift=shift, shapes=evidence.shapes, loops=evidence.loops, say=clock.say
+        moved = linearise_problem(
+            nominal, problem.parts, shift=shift, shapes=problem.shapes, loops=problem.loops, say=clock.say
         )
-        if moved.q >= evidence.q - 10.0:
+        if moved.residual_chi_square >= problem.residual_chi_square - 10.0:
             break
-        evidence = moved
-    return evidence
+        problem = moved
+    return problem
 
 
-def _recoloured(nominal: Nominal, evidence: Evidence, clock: _Clock) -> tuple[Nominal, Evidence]:
+def _refine_noise_model(
+    nominal: Nominal, problem: LinearisedProblem, clock: _Clock
+) -> tuple[Nominal, LinearisedProblem]:
     """Take level and colour of a channel's noise from the recording itself where little but noise is left in it.
 
     A calibration is slow and its noise may have another colour; where an effect is in the channel its residual is
     no noise, and the calibration's stands.
     """
     # a weight stands for misfit that is expected: what there is of it must not pass for a low noise
-    left = evidence.left(evidence.residual) / np.where(evidence.weight > 0, evidence.weight, 1.0)
+    left = problem.apply_inverse_covariance(problem.residual) / np.where(
+        problem.weight > 0, problem.weight, 1.0
+    )
     before = nominal.noise
     noise = dict(before)
-    for channel in dict.fromkeys(row.channel for row in evidence.rows):
-        rows = [row for row in evidence.rows if row.channel == channel]
-        power = [float(np.mean(left[row.where][evidence.weight[row.where] > 0] ** 2)) for row in rows]
+    for channel in dict.fromkeys(row.channel for row in problem.rows):
+        rows = [row for row in problem.rows if row.channel == channel]
+        power = [float(np.mean(left[row.where][problem.weight[row.where] > 0] ** 2)) for row in rows]
         if not all(0.3 < p < QUIET for p in power):
             continue
         known = noise[channel]
         plain = [known.color(left[row.where]) for row in rows]
         found = fit_noise(
-            np.concatenate(plain), np.concatenate([evidence.weight[row.where] > 0 for row in rows])
+            np.concatenate(plain), np.concatenate([problem.weight[row.where] > 0 for row in rows])
         )
         if 0.5 < found.level / known.level < 1.6:
             noise[channel] = found
     if noise == dict(nominal.noise):
-        return nominal, evidence
+        return nominal, problem
     nominal = replace(nominal, noise=noise)
     # what a weight stands for is in the noise already where that was found in the recording
     shapes = {
         channel: shape if noise.get(channel) is before.get(channel) else replace(shape, rough=0.0)
         for channel, shape in loop_shapes(nominal).items()
     }
-    return nominal, gather(
-        nominal, evidence.parts, shift=evidence.origin, shapes=shapes, loops=evidence.loops, say=clock.say
+    return nominal, linearise_problem(
+        nominal, problem.parts, shift=problem.origin, shapes=shapes, loops=problem.loops, say=clock.say
     )
 
 
-def _excess(evidence: Evidence, left: Floats, q: float) -> tuple[dict[str, float], float]:
-    """Excess power over noise power, by channel and of all: each channel's part of q over its samples."""
+def _excess(problem: LinearisedProblem, left: Floats, q: float) -> tuple[dict[str, float], float]:
+    """Excess power over noise power, by channel and of all: each channel's part of chi-square over its samples."""
     own: dict[str, list[float]] = {}
-    for row, _, _ in evidence.iterate():
-        energy = float(evidence.residual[row.where] @ left[row.where])
-        count = float(np.count_nonzero(evidence.weight[row.where]))
+    for row, _, _ in problem.iterate():
+        energy = float(problem.residual[row.where] @ left[row.where])
+        count = float(np.count_nonzero(problem.weight[row.where]))
         total = own.setdefault(row.channel, [0.0, 0.0])
         total[0] += energy
         total[1] += count
-    return {c: e / max(n, 1.0) - 1.0 for c, (e, n) in own.items()}, q / max(evidence.count, 1) - 1.0
+    return {c: e / max(n, 1.0) - 1.0 for c, (e, n) in own.items()}, q / max(problem.count, 1) - 1.0
 
 
-def _explained(base: Study, clock: _Clock) -> Study:
+def _search_and_decide(base: Study, clock: _Clock) -> Study:
     """Search, decide, and judge on held-out blocks.
 
-    Where the base had to move far to absorb a mismatch, it may have absorbed an effect: hypotheses are then tried
+    Where the nuisance model had to move far to absorb a mismatch, it may have absorbed an effect: hypotheses are then tried
     about the unmoved simulation as well, and the better of both counts.
     """
-    evidence, limits = base.evidence, base.thresholds
+    problem, limits = base.problem, base.thresholds
     device = base.nominal.device
-    left = evidence.left(evidence.residual)
-    candidates = hypotheses(evidence, device, left)
+    left = problem.apply_inverse_covariance(problem.residual)
+    candidates = hypotheses(problem, device, left)
     clock.expected = 2 * sum(len(h.starts) for h in candidates) + 40 * SHORTLIST + 200
     clock.say(f"trying {len(candidates)} effects")
-    problems = [evidence]
-    if evidence.origin.size and float(np.max(np.abs(evidence.origin))) > MOVED:
+    problems = [problem]
+    if problem.origin.size and float(np.max(np.abs(problem.origin))) > LARGE_MOVE:
         problems.append(
-            gather(base.nominal, evidence.parts, shapes=evidence.shapes, loops=evidence.loops, say=clock.say)
+            linearise_problem(
+                base.nominal, problem.parts, shapes=problem.shapes, loops=problem.loops, say=clock.say
+            )
         )
     scored = [score(problem, candidates, problem.residual, tick=clock.tick) for problem in problems]
     scores = scored[0]
     clock.say("refitting the most promising")
-    q_base = evidence.q
+    q_base = problem.residual_chi_square
     shortlist = 2 * SHORTLIST if base.one_loop else SHORTLIST
     promising = [
         (problem, s)
@@ -382,19 +393,19 @@ def _explained(base: Study, clock: _Clock) -> Study:
         for s in [s for s in ranked if s.gain > max(0.08 * ranked[0].gain, FAINT)][:shortlist]
     ]
 
-    def refitted(item: tuple[Evidence, Score]) -> Explanation:
+    def refitted(item: tuple[LinearisedProblem, Score]) -> Explanation:
         problem, s = item
         start = switched(problem, s.hypothesis, s.start, problem.residual, tick=clock.tick)
         return fit_jointly(problem, [s.hypothesis], [start], iterations=BRIEF, tick=clock.tick)
 
-    fits: dict[str, tuple[Evidence, Explanation]] = {}
-    for (problem, s), fit in zip(promising, side_by_side(refitted, promising), strict=True):
+    fits: dict[str, tuple[LinearisedProblem, Explanation]] = {}
+    for (problem, s), fit in zip(promising, parallel_map(refitted, promising), strict=True):
         known = fits.get(s.hypothesis.key)
         if known is None or fit.chi_square < known[1].chi_square:
             fits[s.hypothesis.key] = problem, replace(fit, gain=q_base - fit.chi_square)
     most = max((fit.gain for _, fit in fits.values()), default=0.0)
 
-    def finished(item: tuple[Evidence, Explanation]) -> tuple[Evidence, Explanation]:
+    def finished(item: tuple[LinearisedProblem, Explanation]) -> tuple[LinearisedProblem, Explanation]:
         problem, fit = item
         if fit.gain <= 0.5 * most:  # those that may be the answer, or its rivals, to the end
             return item
@@ -405,52 +416,54 @@ def _explained(base: Study, clock: _Clock) -> Study:
             else item
         )
 
-    fits = dict(zip(fits, side_by_side(finished, fits.values()), strict=True))
+    fits = dict(zip(fits, parallel_map(finished, fits.values()), strict=True))
     singles = [fit for _, fit in fits.values()]
-    singles.sort(key=lambda e: e.chi_square + len(e.coordinates) * np.log(evidence.count))
+    singles.sort(key=lambda e: e.chi_square + len(e.coordinates) * np.log(problem.count))
     not_excited = tuple(_not_excited(scores))
     options = _options(base, singles, candidates, clock)
     clock.say("judging on held-out blocks")
-    final, chosen, rivals, remaining = evidence, None, tuple(singles), base.total_excess
+    final, chosen, rivals, remaining = problem, None, tuple(singles), base.total_excess
     outside, absorbed = None, False
     for option in options:
-        judged = held_out(option.final, option.chosen, reference=evidence, tick=clock.tick)
+        judged = held_out(option.final, option.chosen, reference=problem, tick=clock.tick)
         shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
-        sound = _sound(option, judged, singles, evidence, limits)
+        sound = _is_admissible(option, judged, singles, problem, limits)
         rivals, remaining = option.rivals, option.remaining
-        taken_up = sound and len(problems) > 1
-        if sound and (shows or (taken_up and _stands_for_constants(option, singles, base))):
+        absorbed_here = sound and len(problems) > 1
+        if sound and (shows or (absorbed_here and _stands_for_constants(option, singles, base))):
             final, chosen = option.final, option.chosen
             break
-        absorbed |= taken_up
+        absorbed |= absorbed_here
     if chosen is None:
-        judged = held_out(evidence, None)
+        judged = held_out(problem, None)
         loud = base.total_excess > limits.excess or max(base.excess.values()) > limits.channel_excess
         if loud:
             clock.say("shaping what has no name")
-            outside = describe_unknown(evidence, left, block_folds(evidence))
+            outside = fit_nonparametric_correction(problem, left, block_folds(problem))
         silent = outside is None or (outside.share < limits.share and base.total_excess < limits.plain)
         if silent:
             # more residual than noise at most, and nothing in it that predicts anything
             quiet = replace(
                 base, scores=tuple(scores), singles=tuple(singles), judged=judged, remaining_excess=remaining,
-                not_excited=not_excited, rivals=rivals, moved=_thermal_move(evidence, evidence.residual),
+                not_excited=not_excited, rivals=rivals, moved=_thermal_move(problem, problem.residual),
             )  # fmt: skip
-            alike = _like_a_constant(scores, singles)
-            if not absorbed and quiet.pull <= limits.pull:
-                return replace(quiet, alike=alike)
-            acting = evidence.base.thermal @ quiet.moved
-            where = breakdown(evidence, acting, floor=0.0)
-            return replace(quiet, differs=True, alike=alike, proposal=by_hand(alike), breakdown=tuple(where))
+            mimics = _mimics_of_constants(scores, singles)
+            if not absorbed and quiet.constants_chi_square <= limits.constants_chi_square:
+                return replace(quiet, mimics=mimics)
+            acting = problem.nuisance.thermal @ quiet.moved
+            where = breakdown(problem, acting, floor=0.0)
+            return replace(
+                quiet, differs=True, mimics=mimics, proposal=by_hand(mimics), breakdown=tuple(where)
+            )
     # where it is: where a named effect acts, else where more than noise is left
-    acting = evidence.left(evidence.residual) if chosen is None else trace(final)
+    acting = problem.apply_inverse_covariance(problem.residual) if chosen is None else trace(final)
     where = breakdown(final, acting, floor=0.0 if chosen else 1.0)
     pairs = _rival_pairs(base, chosen, rivals, remaining)
     proposal = None
     if pairs and chosen is not None:
         clock.say("designing the next experiment")
         rival = next(r for r in rivals if pairs[0][1] in (h.record.id for h in r.hypotheses))
-        proposal = propose(evidence, base.nominal, chosen, rival, names=pairs[0], say=clock.say)
+        proposal = propose(problem, base.nominal, chosen, rival, names=pairs[0], say=clock.say)
     told = replace(
         base,
         differs=True,
@@ -471,20 +484,22 @@ def _explained(base: Study, clock: _Clock) -> Study:
         return told
     residual = final.residual - chosen.deviation
     told = replace(told, moved=_thermal_move(final, residual))
-    if told.pull <= limits.pull_told:
+    if told.constants_chi_square <= limits.constants_reported:
         return told
     others = [h for h in candidates if h.key not in chosen.keys]
-    return replace(told, alike=_like_a_constant(score(final, others, residual, tick=clock.tick)))
+    return replace(told, mimics=_mimics_of_constants(score(final, others, residual, tick=clock.tick)))
 
 
-def _thermal_move(evidence: Evidence, residual: Floats) -> Floats:
-    """How far the base moves its thermal parameters for a residual, in their standard deviations."""
-    count = len(evidence.names)
-    return evidence.absorb(residual)[-count:] if count else np.zeros(0)
+def _thermal_move(problem: LinearisedProblem, residual: Floats) -> Floats:
+    """How far the nuisance model moves its thermal parameters for a residual, in their standard deviations."""
+    count = len(problem.names)
+    return problem.fit_nuisance(residual)[-count:] if count else np.zeros(0)
 
 
-def _like_a_constant(scores: Sequence[Score], singles: Sequence[Explanation] = ()) -> tuple[Hypothesis, ...]:
-    """Effects that save at least half as much of a move of the base as the best of them does, best first."""
+def _mimics_of_constants(
+    scores: Sequence[Score], singles: Sequence[Explanation] = ()
+) -> tuple[Hypothesis, ...]:
+    """Effects that save at least half as much of a move of the nuisance model as the best of them does, best first."""
     gains: dict[str, tuple[float, Hypothesis]] = {}
     found = [(s.gain, s.hypothesis) for s in scores] + [(e.gain, e.hypotheses[0]) for e in singles]
     for gain, hypothesis in sorted(found, key=lambda item: -item[0]):
@@ -497,24 +512,24 @@ def _options(
     base: Study, singles: Sequence[Explanation], candidates: Sequence[Hypothesis], clock: _Clock
 ) -> list[Option]:
     """What could be the answer, best first: two effects, one effect."""
-    evidence, limits = base.evidence, base.thresholds
+    problem, limits = base.problem, base.thresholds
     first = _best_inside(singles)
     if first is None or first.gain <= limits.least(first.hypotheses[0]):
         return []
     clock.say("linearising about the explanation")
-    alone = option_of(base.nominal, evidence, first, singles, tick=clock.tick)
+    alone = option_of(base.nominal, problem, first, singles, tick=clock.tick)
     clock.say("looking for a second effect")
-    pair = pair_of(base.nominal, evidence, alone, candidates, limits, tick=clock.tick)
+    pair = pair_of(base.nominal, problem, alone, candidates, limits, tick=clock.tick)
     if pair is None and first.cornered:
-        pair = _instead(base, alone, singles, candidates, clock)
+        pair = _pair_in_place_of_one(base, alone, singles, candidates, clock)
     if pair:
         needed = limits.complete_matched if _matched(pair, alone, limits) else limits.complete_pair
-        if _complete(pair.chosen, pair.remaining, evidence, limits) >= needed:
+        if _complete(pair.chosen, pair.remaining, problem, limits) >= needed:
             return [pair, alone]
     return [alone]
 
 
-def _instead(
+def _pair_in_place_of_one(
     base: Study,
     alone: Option,
     singles: Sequence[Explanation],
@@ -526,13 +541,13 @@ def _instead(
     They begin with the best single effect that keeps away from its bounds, and may resemble each other: both must beat
     what resembles them.
     """
-    limits = replace(base.thresholds, alike=1.0)
+    limits = replace(base.thresholds, second_cosine=1.0)
     inside = next((e for e in singles if not e.cornered), None)
     if inside is None or inside.gain <= limits.least(inside.hypotheses[0]):
         return None
     clock.say("looking for two effects in the place of one")
-    other = option_of(base.nominal, base.evidence, inside, singles, tick=clock.tick)
-    pair = pair_of(base.nominal, base.evidence, other, candidates, limits, tick=clock.tick)
+    other = option_of(base.nominal, base.problem, inside, singles, tick=clock.tick)
+    pair = pair_of(base.nominal, base.problem, other, candidates, limits, tick=clock.tick)
     better = pair is not None and pair.chosen.chi_square < alone.chosen.chi_square - limits.rival
     return pair if better else None
 
@@ -545,8 +560,12 @@ def _matched(pair: Option, alone: Option, limits: Thresholds) -> bool:
     return before - min(others, default=before) < limits.dominated * (before - best)
 
 
-def _sound(
-    option: Option, judged: HeldOut, singles: Sequence[Explanation], evidence: Evidence, limits: Thresholds
+def _is_admissible(
+    option: Option,
+    judged: HeldOut,
+    singles: Sequence[Explanation],
+    problem: LinearisedProblem,
+    limits: Thresholds,
 ) -> bool:
     """Whether an explanation is significant, stable, complete, inside its physical bounds, and harms no channel."""
     chosen = option.chosen
@@ -555,7 +574,7 @@ def _sound(
     return (
         _significant(chosen, limits)
         and judged.stable
-        and _complete(chosen, option.remaining, evidence, limits) >= needed
+        and _complete(chosen, option.remaining, problem, limits) >= needed
         and not chosen.at_bound
         and not _worsens(option, judged)
         and not _bends(option, limits)
@@ -585,9 +604,11 @@ def _bends(option: Option, limits: Thresholds) -> bool:
     return bend(option) > max(limits.gain, limits.second * leftover)
 
 
-def _complete(explanation: Explanation, remaining: float, evidence: Evidence, limits: Thresholds) -> float:
+def _complete(
+    explanation: Explanation, remaining: float, problem: LinearisedProblem, limits: Thresholds
+) -> float:
     """Share of the excess beyond what unchanged devices show that an explanation takes away."""
-    rest = evidence.count * max(remaining - limits.slack, 0.0)
+    rest = problem.count * max(remaining - limits.slack, 0.0)
     return explanation.gain / (explanation.gain + rest)
 
 
@@ -600,14 +621,14 @@ def _dominates(chosen: Explanation, singles: Sequence[Explanation], limits: Thre
 
 
 def _stands_for_constants(option: Option, singles: Sequence[Explanation], base: Study) -> bool:
-    """Whether a change that the base could take up by its constants is what one effect is, and no other.
+    """Whether a change that the nuisance model could take up by its constants is what one effect is, and no other.
 
     On held-out blocks such an effect gains nothing, as the constants are moved there too. What tells is how far they
     would have to move from the calibration: a dead time that has grown is named, a gain that many effects mimic is not.
     Nor is what a room does that has become warmer: that happens by itself.
     """
-    move = _thermal_move(base.evidence, base.evidence.residual) ** 2
-    if move[base.evidence.names.index("thermal.ambient")] > ROOM * float(np.sum(move)):
+    move = _thermal_move(base.problem, base.problem.residual) ** 2
+    if move[base.problem.names.index("thermal.ambient")] > ROOM * float(np.sum(move)):
         return False
     chosen = option.chosen
     own = chosen.hypotheses[0].record.id
@@ -623,7 +644,7 @@ def _significant(explanation: Explanation, limits: Thresholds) -> bool:
         if hypothesis.magnitudes
     ) and all(
         explanation.std(index, name)
-        < LOOSE * abs(values[hypothesis.switches[-1]] - values[hypothesis.switches[0]])
+        < SWITCHING_UNCERTAINTY * abs(values[hypothesis.switches[-1]] - values[hypothesis.switches[0]])
         for index, (hypothesis, values) in enumerate(
             zip(explanation.hypotheses, explanation.values, strict=True)
         )

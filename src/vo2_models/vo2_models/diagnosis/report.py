@@ -78,15 +78,15 @@ def _where(study: Study, diagnosis: Diagnosis) -> str:
 
 def _residual_figure(study: Study) -> str:
     """Residual over time, before and after, per channel of the first recording."""
-    evidence = study.evidence
-    rows = [(row, part) for row, part, _ in evidence.iterate() if row.part == 0]
-    left = evidence.residual
+    problem = study.problem
+    rows = [(row, part) for row, part, _ in problem.iterate() if row.part == 0]
+    left = problem.residual
     after = _explained_residual(study)
     with new_figure(7.2, 1.9 * len(rows) + 0.4) as figure:
         axes = np.atleast_1d(figure.subplots(len(rows), 1, sharex=True))
         for axis, (row, part) in zip(axes, rows, strict=True):
-            noise = evidence.nominal.noise[row.channel]
-            weight = np.where(evidence.weight[row.where] > 0, evidence.weight[row.where], 1.0)
+            noise = problem.nominal.noise[row.channel]
+            weight = np.where(problem.weight[row.where] > 0, problem.weight[row.where], 1.0)
             _, label, scale = SHOWN[row.channel]
             time = part.time_s - part.time_s[0]
             for vector, colour, name in ((left, BEFORE, "before"), (after, AFTER, "after")):
@@ -109,8 +109,8 @@ def _residual_figure(study: Study) -> str:
 def _explained_residual(study: Study) -> Floats:
     if study.chosen is not None:
         residual = study.final.residual - study.chosen.deviation
-        return study.final.left(residual)
-    left = study.evidence.left(study.evidence.residual)
+        return study.final.apply_inverse_covariance(residual)
+    left = study.problem.apply_inverse_covariance(study.problem.residual)
     return left - study.outside.prediction if study.outside is not None else left
 
 
@@ -259,7 +259,7 @@ def _data(study: Study, diagnosis: Diagnosis) -> str:
             ", ".join(SHOWN[c][0] for c in part.channels),
             "at its first current" if part.settled else "at rest, cold",
         )
-        for part in study.evidence.parts
+        for part in study.problem.parts
     ]
     limits = [paragraph(text) for text in diagnosis.limits] or [paragraph("Nothing limits the answer.")]
     noise = [
@@ -269,7 +269,7 @@ def _data(study: Study, diagnosis: Diagnosis) -> str:
             JUDGED_UNIT[c],
             ", ".join(f"{a:.2f}" for a in n.ar) or "none: white",
         )
-        for c, n in study.evidence.nominal.noise.items()
+        for c, n in study.problem.nominal.noise.items()
     ]
     return section(
         "The data",

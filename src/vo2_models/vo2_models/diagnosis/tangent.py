@@ -1,4 +1,4 @@
-"""The tangent of the base, kept in blocks: a loop-shape column is zero outside its own channel."""
+"""The tangent of the nuisance model, kept in blocks: a loop-shape column is zero outside its own channel."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.diagnosis.side_by_side import side_by_side
+from vo2_models.diagnosis.parallel import parallel_map
 
 __all__ = ["Tangent"]
 
@@ -52,7 +52,7 @@ class Tangent:
         out = np.zeros((size, size))
         out[end:, end:] = self.thermal.T @ self.thermal
         places = self._places()
-        squares = side_by_side(lambda place: place[1].T @ place[1], places)
+        squares = parallel_map(lambda place: place[1].T @ place[1], places)
         for (rows, block, own), square in zip(places, squares, strict=True):
             out[own, own] = square
             cross = block.T @ self.thermal[rows]

@@ -14,9 +14,9 @@ from vo2_control.pid import pid_controller
 from vo2_identification.fit import model_of
 from vo2_models.device import truth
 from vo2_models.device.presets import preset
-from vo2_models.diagnosis.base import loop_shapes
 from vo2_models.diagnosis.locate import turning_points
 from vo2_models.diagnosis.nominal import Nominal
+from vo2_models.diagnosis.nuisance import loop_shapes
 from vo2_models.identification.excitation import damped_oscillation
 from vo2_models.recording import RESISTANCE
 from vo2_models.self_sensing import KINDS, self_sensing

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from vo2_models.device.model import SensorModel
+from vo2_models.diagnosis.assemble_diagnosis import assemble_diagnosis
 from vo2_models.diagnosis.pipeline import study as diagnose_study
 from vo2_models.diagnosis.result import Diagnosis
-from vo2_models.diagnosis.statement import assemble
 from vo2_models.recording import RESISTANCE
 
 from vo2_studies.measured.cases import Case
@@ -58,7 +58,7 @@ def diagnose_set(
         )
     except ValueError as error:
         return PresetDiagnosis(None, " ".join(str(error).split()), labels)
-    return PresetDiagnosis(assemble(answer), "", labels)
+    return PresetDiagnosis(assemble_diagnosis(answer), "", labels)
 
 
 def _shortened(case: Case) -> Case:

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter, welch
 
-from vo2_models.diagnosis.evidence import Evidence, Row
 from vo2_models.diagnosis.nominal import Response
 from vo2_models.diagnosis.part import Part
+from vo2_models.diagnosis.problem import LinearisedProblem, Row
 from vo2_models.identification.enrichment import cubic_spline
 from vo2_models.recording import HEATER_CURRENT
 
-__all__ = ["Shape", "Unnamed", "describe_unknown"]
+__all__ = ["NonparametricCorrection", "Shape", "fit_nonparametric_correction"]
 
 Floats = NDArray[np.float64]
 CYCLES = 5
@@ -47,7 +47,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Unnamed:
+class NonparametricCorrection:
     """The correction without a name.
 
     Attributes
@@ -62,25 +62,25 @@ class Unnamed:
     prediction: Floats
 
 
-def describe_unknown(
-    evidence: Evidence, residual: Floats, folds: list[NDArray[np.bool_]], *, most: int = 4
-) -> Unnamed:
+def fit_nonparametric_correction(
+    problem: LinearisedProblem, residual: Floats, folds: list[NDArray[np.bool_]], *, most: int = 4
+) -> NonparametricCorrection:
     """Choose groups of functions greedily for each channel, judged on held-out blocks.
 
     Parameters
     ----------
-    evidence : the problem
-    residual : (N,) whitened, base taken out
+    problem : the problem
+    residual : (N,) whitened, nuisance model taken out
     folds : held-out masks (N,), which partition the samples
     most : groups per channel
     """
     shapes: list[Shape] = []
     prediction = np.zeros(residual.size)
     before = after = 0.0
-    for channel in dict.fromkeys(row.channel for row in evidence.rows):
-        own = [row for row in evidence.rows if row.channel == channel]
+    for channel in dict.fromkeys(row.channel for row in problem.rows):
+        own = [row for row in problem.rows if row.channel == channel]
         place = np.concatenate([np.arange(row.where.start, row.where.stop) for row in own])
-        use = evidence.weight[place] > 0
+        use = problem.weight[place] > 0
         target = residual[place]
         count = int(np.count_nonzero(use))
         energy = float(np.sum(target[use] ** 2))
@@ -89,8 +89,8 @@ def describe_unknown(
             before, after = before + energy - count, after + energy - count
             continue
         groups = {
-            name: (words, evidence.left_in(evidence.rows_of(channel), block))
-            for name, (words, block) in _groups(evidence, own, residual).items()
+            name: (words, problem.apply_inverse_covariance_in(problem.rows_of(channel), block))
+            for name, (words, block) in _groups(problem, own, residual).items()
         }
         chosen: list[tuple[str, str, float, float]] = []
         columns = np.zeros((place.size, 0))
@@ -117,7 +117,7 @@ def describe_unknown(
         before += excess
         after += best_energy - count
     share = float(np.clip((before - after) / before, 0.0, 1.0)) if before > 0 else 0.0
-    return Unnamed(tuple(sorted(shapes, key=lambda s: -s.share)), share, prediction)
+    return NonparametricCorrection(tuple(sorted(shapes, key=lambda s: -s.share)), share, prediction)
 
 
 def _cross_predicted(
@@ -135,7 +135,7 @@ def _cross_predicted(
     return out
 
 
-def _groups(evidence: Evidence, rows: list[Row], residual: Floats) -> dict[str, tuple[str, Floats]]:
+def _groups(problem: LinearisedProblem, rows: list[Row], residual: Floats) -> dict[str, tuple[str, Floats]]:
     """Blocks of columns, whitened like the channel, for all of its recordings stacked."""
     builders: dict[str, tuple[str, Callable[[Part, Response, Row], Floats]]] = {
         "value": ("the channel's own value (a sensor that is not linear)", _of_value),
@@ -153,22 +153,22 @@ def _groups(evidence: Evidence, rows: list[Row], residual: Floats) -> dict[str, 
     for name, (words, builder) in builders.items():
         blocks = []
         for row in rows:
-            part, response = evidence.parts[row.part], evidence.nominal_responses[row.part]
-            noise = evidence.nominal.noise[row.channel]
-            blocks.append(noise.whiten(builder(part, response, row)) * evidence.weight[row.where, None])
+            part, response = problem.parts[row.part], problem.nominal_responses[row.part]
+            noise = problem.nominal.noise[row.channel]
+            blocks.append(noise.whiten(builder(part, response, row)) * problem.weight[row.where, None])
         found[name] = (words, np.concatenate(blocks))
-    heat = _felt_temperature(evidence, rows)
+    heat = _felt_temperature(problem, rows)
     if heat is not None:
-        slow = [_spline(evidence.parts[row.part].time_s, 45) for row in rows]
+        slow = [_spline(problem.parts[row.part].time_s, 45) for row in rows]
         found["felt temperature"] = (
             "a temperature that changes with time by itself: something else heats",
             np.concatenate(slow) * heat[:, None],
         )
-    tone = _tone(evidence, rows, residual)
+    tone = _tone(problem, rows, residual)
     if tone and heat is not None:
         waves = []
         for row in rows:
-            phase = 2 * np.pi * tone * evidence.parts[row.part].time_s
+            phase = 2 * np.pi * tone * problem.parts[row.part].time_s
             waves.append(np.column_stack([f(k * phase) for k in (1, 2, 3) for f in (np.sin, np.cos)]))
         found["felt tone"] = (
             f"a temperature that changes periodically at {tone:.4g} Hz",
@@ -178,31 +178,31 @@ def _groups(evidence: Evidence, rows: list[Row], residual: Floats) -> dict[str, 
         blocks = []
         driven = rows[0].channel == HEATER_CURRENT
         for row in rows:
-            part = evidence.parts[row.part]
+            part = problem.parts[row.part]
             phase = 2 * np.pi * tone * part.time_s
             raw = np.column_stack([f(k * phase) for k in (1, 2, 3) for f in (np.sin, np.cos)])
             if driven:
                 raw = np.column_stack([raw, raw * part.current[:, None]])
-            noise = evidence.nominal.noise[row.channel]
-            blocks.append(noise.whiten(raw) * evidence.weight[row.where, None])
+            noise = problem.nominal.noise[row.channel]
+            blocks.append(noise.whiten(raw) * problem.weight[row.where, None])
         cause = "a driver that ripples" if driven else "interference"
         found["tone"] = (f"time, periodically at {tone:.4g} Hz: {cause}", np.concatenate(blocks))
     return found
 
 
-def _felt_temperature(evidence: Evidence, rows: list[Row]) -> Floats | None:
+def _felt_temperature(problem: LinearisedProblem, rows: list[Row]) -> Floats | None:
     """Whitened change of the channel per kelvin of ambient temperature, along its recordings."""
-    if "thermal.ambient" not in evidence.names:
+    if "thermal.ambient" not in problem.names:
         return None
-    column = evidence.base.thermal[:, evidence.names.index("thermal.ambient")]
+    column = problem.nuisance.thermal[:, problem.names.index("thermal.ambient")]
     place = np.concatenate([np.arange(row.where.start, row.where.stop) for row in rows])
     return np.asarray(column[place])
 
 
-def _tone(evidence: Evidence, rows: list[Row], residual: Floats) -> float:
+def _tone(problem: LinearisedProblem, rows: list[Row], residual: Floats) -> float:
     """Frequency [Hz] of a line that stands out of the spectrum, refined to a tenth of a bin, else 0."""
-    row = max(rows, key=lambda r: evidence.parts[r.part].size)
-    part = evidence.parts[row.part]
+    row = max(rows, key=lambda r: problem.parts[r.part].size)
+    part = problem.parts[row.part]
     e = residual[row.where]
     frequency, power = welch(e, fs=1 / part.dt, nperseg=min(4096, part.size), detrend="constant")
     floor = np.median(power)

@@ -25,9 +25,9 @@ from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 if TYPE_CHECKING:
     from vo2_models.diagnosis.pipeline import Study
 
-__all__ = ["FORM", "assemble"]
+__all__ = ["MODEL_DISCREPANCY", "assemble_diagnosis"]
 
-FORM = {
+MODEL_DISCREPANCY = {
     "driver": 0.03,
     "thermal": 0.085,
     "transition": 0.1,
@@ -46,11 +46,11 @@ TOLD = 2.0
 """Move of a constant, in standard deviations, that is told where constants have changed."""
 
 
-def assemble(study: Study) -> Diagnosis:
+def assemble_diagnosis(study: Study) -> Diagnosis:
     """Return the diagnosis that a study supports."""
     fit = _fit(study)
     limits = [*limits_in_words(study.findings), *_by_recording(study)]
-    if study.pull > study.thresholds.pull_told:
+    if study.constants_chi_square > study.thresholds.constants_reported:
         limits.append(_constant(study))
     if not study.differs:
         return Diagnosis(
@@ -95,12 +95,13 @@ def _fit(study: Study) -> dict[str, ChannelFit]:
     span = study.nominal.span
     after = dict(study.judged.after)
     if study.outside is not None and study.chosen is None:
-        for row, _, _ in study.evidence.iterate():
-            noise = study.evidence.nominal.noise[row.channel]
-            weight = study.evidence.weight[row.where]
+        for row, _, _ in study.problem.iterate():
+            noise = study.problem.nominal.noise[row.channel]
+            weight = study.problem.weight[row.where]
             use = weight > 0
             left = (
-                study.evidence.left(study.evidence.residual)[row.where] - study.outside.prediction[row.where]
+                study.problem.apply_inverse_covariance(study.problem.residual)[row.where]
+                - study.outside.prediction[row.where]
             )
             plain = noise.color(left / np.where(use, weight, 1.0))
             after[row.channel] = float(np.sqrt(np.mean(plain[use] ** 2)))
@@ -112,13 +113,13 @@ def _fit(study: Study) -> dict[str, ChannelFit]:
 
 def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
     """Candidates with probabilities, and the probability of each key."""
-    count = study.evidence.count
+    count = study.problem.count
     everyone = list(study.rivals)
     if study.chosen is not None:
         everyone = [study.chosen, *(r for r in everyone if set(r.keys) != set(study.chosen.keys))]
     if not everyone:
         return [], {}
-    # about the best explanation q is lower than about the nominal simulation: compare like with like
+    # about the best explanation chi-square is lower than about the nominal simulation: compare like with like
     chi = [e.chi_square for e in everyone]
     if study.chosen is not None:
         same = [r for r in study.rivals if set(r.keys) == set(study.chosen.keys)]
@@ -164,18 +165,18 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
 
 
 def _constant(study: Study) -> str:
-    """What the base had to change, and which effects would do the same."""
-    evidence = study.evidence
+    """What the nuisance model had to change, and which effects would do the same."""
+    problem = study.problem
     moved = [
         f"{name} by {shift * spread:+.3g} ({abs(shift):.0f} standard deviations of the calibration)"
-        for name, shift, spread in zip(evidence.names, study.moved, evidence.spreads, strict=True)
+        for name, shift, spread in zip(problem.names, study.moved, problem.spreads, strict=True)
         if abs(shift) >= TOLD
     ]
     text = f"this recording asks for another {', '.join(moved)}"
     if not study.differs:
         text += "; too little to tell from an unchanged device whose loops are of another family"
-    if study.alike:
-        names = " or ".join(h.record.id for h in study.alike)
+    if study.mimics:
+        names = " or ".join(h.record.id for h in study.mimics)
         text += f"; {names} acting all the time would look much the same"
     return text
 
@@ -183,17 +184,17 @@ def _constant(study: Study) -> str:
 def _best_share(study: Study) -> float:
     """Return the share of the excess that the best single effect explains, 0 to 1."""
     best = max((e.gain for e in study.singles), default=0.0)
-    return float(np.clip(best / max(study.evidence.count * study.total_excess, 1e-9), 0.0, 1.0))
+    return float(np.clip(best / max(study.problem.count * study.total_excess, 1e-9), 0.0, 1.0))
 
 
 def _share(study: Study, gain: float) -> float:
     """Return the share of the excess that a gain is, 0 to 1.
 
-    Where the base has moved its constants to follow an effect, little or no excess is left to compare with: there the
+    Where the nuisance model has moved its constants to follow an effect, little or no excess is left to compare with: there the
     share is of the most that any effect explains.
     """
     known = [*study.singles, *study.rivals, *([study.chosen] if study.chosen else [])]
-    whole = max([study.evidence.count * study.total_excess, *(e.gain for e in known)])
+    whole = max([study.problem.count * study.total_excess, *(e.gain for e in known)])
     return float(np.clip(gain / whole, 0.0, 1.0)) if whole > 0.0 else 0.0
 
 
@@ -222,7 +223,7 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
                     unit = {"log10 ohm": "ohm"}.get(
                         JUDGED_UNIT[hypothesis.signal], JUDGED_UNIT[hypothesis.signal]
                     )
-                form = 0.0 if unit == CHOICE else FORM[record.stage]
+                form = 0.0 if unit == CHOICE else MODEL_DISCREPANCY[record.stage]
                 spread = float(np.hypot(study.chosen.std(index, name), form * value))
                 parameters[name] = Estimate(float(value), spread, unit)
             found.append(
@@ -273,16 +274,16 @@ def _unknown(study: Study) -> NamedEffect:
 
 def _by_recording(study: Study) -> list[str]:
     """The excess of each recording where there are several, and whether they contradict each other."""
-    evidence = study.evidence
-    if len(evidence.parts) < 2:
+    problem = study.problem
+    if len(problem.parts) < 2:
         return []
-    left = evidence.left(evidence.residual)
-    energy, count = np.zeros(len(evidence.parts)), np.zeros(len(evidence.parts))
-    for row in evidence.rows:
-        energy[row.part] += float(evidence.residual[row.where] @ left[row.where])
-        count[row.part] += float(np.count_nonzero(evidence.weight[row.where]))
+    left = problem.apply_inverse_covariance(problem.residual)
+    energy, count = np.zeros(len(problem.parts)), np.zeros(len(problem.parts))
+    for row in problem.rows:
+        energy[row.part] += float(problem.residual[row.where] @ left[row.where])
+        count[row.part] += float(np.count_nonzero(problem.weight[row.where]))
     excess = energy / np.maximum(count, 1.0) - 1.0
-    told = ", ".join(f"{part.name} {value:.3g}" for part, value in zip(evidence.parts, excess, strict=True))
+    told = ", ".join(f"{part.name} {value:.3g}" for part, value in zip(problem.parts, excess, strict=True))
     text = f"excess in noise powers by recording: {told}"
     if excess.max() > 10.0 * max(excess.min(), study.thresholds.excess):
         text += "; they differ unlike each other: diagnose them one by one"
@@ -291,7 +292,7 @@ def _by_recording(study: Study) -> list[str]:
 
 def _of_what(study: Study) -> str:
     """Which channels agree, where one of the two could not be judged."""
-    judged = {row.channel for row in study.evidence.rows}
+    judged = {row.channel for row in study.problem.rows}
     absent = [c for c in (RESISTANCE, TIP_DEFLECTION) if c not in judged]
     if not absent:
         return ""

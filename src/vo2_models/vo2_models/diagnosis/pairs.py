@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.diagnosis.decide import Thresholds
-from vo2_models.diagnosis.evidence import Evidence, gather
 from vo2_models.diagnosis.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
 from vo2_models.diagnosis.hypotheses import Hypothesis, windowed
 from vo2_models.diagnosis.nominal import Nominal
-from vo2_models.diagnosis.side_by_side import side_by_side
+from vo2_models.diagnosis.parallel import parallel_map
+from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
 
 __all__ = ["Option", "bend", "option_of", "pair_of", "trace"]
 
@@ -50,26 +50,26 @@ class Option:
     remaining : excess power over noise power that they leave
     """
 
-    final: Evidence
+    final: LinearisedProblem
     chosen: Explanation
     rivals: tuple[Explanation, ...]
     remaining: float
 
 
-def trace(final: Evidence) -> Floats:
+def trace(final: LinearisedProblem) -> Floats:
     """What the effects that the problem is about change in the recording, (N,) whitened, without noise."""
     plain = replace(final, included={})
     return -plain.stack(plain.responses({}), final.nominal_responses)
 
 
 def bend(option: Option) -> float:
-    """Largest drop of q from letting an effect that is straight in time bend: its change times 1, t and t^2, t the time.
+    """Largest drop of chi-square from letting an effect that is straight in time bend: its change times 1, t and t^2, t the time.
 
     0 where no effect of the explanation is straight.
     """
     final, chosen = option.final, option.chosen
     residual = final.residual - chosen.deviation
-    rest = final.left(residual)
+    rest = final.apply_inverse_covariance(residual)
     time = np.empty(final.weight.size)
     for row, part, _ in final.iterate():
         time[row.where] = np.linspace(0.0, 1.0, part.size)
@@ -80,7 +80,7 @@ def bend(option: Option) -> float:
         without = replace(final, included={k: v for k, v in final.included.items() if k != hypothesis.key})
         own = -without.stack(without.responses({}), final.nominal_responses)
         columns = own[:, None] * time[:, None] ** np.arange(3)
-        gram = columns.T @ final.left(columns)
+        gram = columns.T @ final.apply_inverse_covariance(columns)
         against = columns.T @ rest
         found = max(found, float(against @ np.linalg.pinv(gram, hermitian=True) @ against))
     return found
@@ -88,7 +88,7 @@ def bend(option: Option) -> float:
 
 def option_of(
     nominal: Nominal,
-    evidence: Evidence,
+    problem: LinearisedProblem,
     best: Explanation,
     rivals: Sequence[Explanation],
     *,
@@ -99,35 +99,35 @@ def option_of(
     Parameters
     ----------
     nominal : without corrections
-    evidence : the problem about the simulation without effects, which gains are told against
+    problem : the problem about the simulation without effects, which gains are told against
     best : the explanation
     rivals : what else was tried
     tick : called once per simulation
     """
-    final, chosen = _about(nominal, evidence, best, tick)
+    final, chosen = _about(nominal, problem, best, tick)
     remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0
     return Option(final, chosen, tuple(rivals), remaining)
 
 
 def _about(
-    nominal: Nominal, evidence: Evidence, best: Explanation, tick: Tick
-) -> tuple[Evidence, Explanation]:
+    nominal: Nominal, problem: LinearisedProblem, best: Explanation, tick: Tick
+) -> tuple[LinearisedProblem, Explanation]:
     """Build the problem about an explanation and fit it once more there."""
-    final = gather(
+    final = linearise_problem(
         nominal,
-        evidence.parts,
+        problem.parts,
         shift=best.shift,
         effects=best.effects,
-        shapes=evidence.shapes,
-        loops=evidence.loops,
+        shapes=problem.shapes,
+        loops=problem.loops,
     )
     again = fit_jointly(final, best.hypotheses, best.values, iterations=6, tick=tick)
-    return final, replace(again, gain=evidence.q - again.chi_square)
+    return final, replace(again, gain=problem.residual_chi_square - again.chi_square)
 
 
 def pair_of(
     nominal: Nominal,
-    evidence: Evidence,
+    problem: LinearisedProblem,
     alone: Option,
     candidates: Sequence[Hypothesis],
     limits: Thresholds,
@@ -142,7 +142,7 @@ def pair_of(
     Parameters
     ----------
     nominal : without corrections
-    evidence : the problem about the simulation without effects
+    problem : the problem about the simulation without effects
     alone : the best single effect
     candidates : all hypotheses
     limits : when a second effect counts
@@ -162,8 +162,8 @@ def pair_of(
         if key is None:
             break
         tried.add(key)
-        one = fit_jointly(evidence, *waiting[key], iterations=BRIEF, tick=tick)
-        there, kept = _about(nominal, evidence, one, tick)
+        one = fit_jointly(problem, *waiting[key], iterations=BRIEF, tick=tick)
+        there, kept = _about(nominal, problem, one, tick)
         fresh = _joined(there, kept, candidates, limits, tick)
         found += [(there, joint) for joint in fresh]
         waiting |= _untried(fresh, about.count, limits)
@@ -174,12 +174,12 @@ def pair_of(
     if drop < max(least, limits.second * leftover):
         return None
     thorough = leftover > limits.gain and drop > limits.thorough * leftover
-    small = drop < limits.second_of_all * _excess_there(evidence, where, best)
-    if not thorough and (small or _alike(where, best) > limits.alike):
+    small = drop < limits.second_of_all * _excess_there(problem, where, best)
+    if not thorough and (small or _cosine(where, best) > limits.second_cosine):
         return None
     rivals = {frozenset(joint.keys): joint for _, joint in reversed(found)}
     ranked = sorted(rivals.values(), key=lambda e: e.chi_square)
-    return option_of(nominal, evidence, best, ranked, tick=tick)
+    return option_of(nominal, problem, best, ranked, tick=tick)
 
 
 def _untried(
@@ -196,7 +196,7 @@ def _untried(
 
 
 def _joined(
-    about: Evidence,
+    about: LinearisedProblem,
     first: Explanation,
     candidates: Sequence[Hypothesis],
     limits: Thresholds,
@@ -204,13 +204,13 @@ def _joined(
 ) -> list[Explanation]:
     """Refit the most promising partners of an effect together with it, best first.
 
-    Partners are scored by what neither the base nor other values of the first effect could explain.
+    Partners are scored by what neither the nuisance model nor other values of the first effect could explain.
     """
     residual = about.residual - first.deviation
-    left = about.left(residual)
+    left = about.apply_inverse_covariance(residual)
     others = [windowed(about, h, left) for h in candidates if h.key not in first.keys]
-    base = replace(about.base, thermal=np.hstack([FREE * first.tangent, about.base.thermal]))
-    scores = score(replace(about, base=base), others, residual, tick=tick)
+    nuisance = replace(about.nuisance, thermal=np.hstack([FREE * first.tangent, about.nuisance.thermal]))
+    scores = score(replace(about, nuisance=nuisance), others, residual, tick=tick)
     promising = [s for s in scores if s.gain > _least(s, scores, limits)][:PARTNERS]
 
     def refitted(s: Score) -> Explanation:
@@ -218,7 +218,7 @@ def _joined(
         both, values = [*first.hypotheses, s.hypothesis], [*first.values, start]
         return fit_jointly(about, both, values, iterations=BRIEF_BESIDE, tick=tick)
 
-    joints = side_by_side(refitted, promising)
+    joints = parallel_map(refitted, promising)
     lowest = min((joint.chi_square for joint in joints), default=0.0)
     halfway = 0.5 * (about.chi_square(residual) + lowest)
 
@@ -227,13 +227,13 @@ def _joined(
             return joint
         return fit_jointly(about, joint.hypotheses, joint.values, iterations=8, tick=tick)
 
-    joints = side_by_side(finished, joints)
+    joints = parallel_map(finished, joints)
     return sorted((j for j in joints if not j.at_bound), key=lambda e: e.chi_square)
 
 
 def _simplest(
-    found: Sequence[tuple[Evidence, Explanation]], limits: Thresholds
-) -> tuple[Evidence, Explanation]:
+    found: Sequence[tuple[LinearisedProblem, Explanation]], limits: Thresholds
+) -> tuple[LinearisedProblem, Explanation]:
     """The pair with the fewest parameters of those that fit as well as the first, within what no pair explains."""
     lowest = found[0][1].chi_square
     close = lowest + limits.rival + limits.tie * max(lowest - found[0][0].count, 0.0)
@@ -241,15 +241,15 @@ def _simplest(
     return min(near, key=lambda item: (len(item[1].coordinates), item[1].chi_square))
 
 
-def _excess_there(evidence: Evidence, about: Evidence, joint: Explanation) -> float:
+def _excess_there(problem: LinearisedProblem, about: LinearisedProblem, joint: Explanation) -> float:
     """Excess energy where the last effect acts: that of each channel, by its share of what the effect does."""
-    left = evidence.left(evidence.residual)
+    left = problem.apply_inverse_covariance(problem.residual)
     new = about.deviation(joint.hypotheses[-1].effects(joint.values[-1]))
     total = max(float(new @ new), 1e-300)
     found = 0.0
-    for channel in dict.fromkeys(row.channel for row in evidence.rows):
-        own = evidence.rows_of(channel)
-        excess = float(evidence.residual[own] @ left[own]) - np.count_nonzero(evidence.weight[own])
+    for channel in dict.fromkeys(row.channel for row in problem.rows):
+        own = problem.rows_of(channel)
+        excess = float(problem.residual[own] @ left[own]) - np.count_nonzero(problem.weight[own])
         found += max(excess, 0.0) * float(new[own] @ new[own]) / total
     return found
 
@@ -260,9 +260,9 @@ def _least(one: Score, scores: Sequence[Score], limits: Thresholds) -> float:
     return least if one.hypothesis.evident else max(least, 0.1 * scores[0].gain)
 
 
-def _alike(about: Evidence, joint: Explanation) -> float:
-    """Absolute cosine between what the last effect does and what those before it do, the base taken out."""
+def _cosine(about: LinearisedProblem, joint: Explanation) -> float:
+    """Absolute cosine between what the last effect does and what those before it do, the nuisance model taken out."""
     old = trace(about)
     new = about.deviation(joint.hypotheses[-1].effects(joint.values[-1]))
     size = about.chi_square(old) * about.chi_square(new)
-    return float(abs(old @ about.left(new)) / np.sqrt(size)) if size > 0 else 1.0
+    return float(abs(old @ about.apply_inverse_covariance(new)) / np.sqrt(size)) if size > 0 else 1.0

@@ -28,7 +28,7 @@ from vo2_models.identification.enrichment import Correction
 from vo2_models.numerics.kernel import kernel
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
-__all__ = ["Film", "carried", "corrected_film", "film_alone", "through_structure"]
+__all__ = ["Film", "corrected_film", "film_alone", "propagate_correction", "through_structure"]
 
 Floats = NDArray[np.float64]
 _SLOTS = len(S)
@@ -92,7 +92,7 @@ def corrected_film(
     return Film(out, rest, added, at_rest)
 
 
-def carried(simulation: Simulation, film: Film, dt: float, *, every: int = 1) -> Floats:
+def propagate_correction(simulation: Simulation, film: Film, dt: float, *, every: int = 1) -> Floats:
     """Return what `Simulation.run` would give with this film; noise is not added.
 
     Parameters

@@ -1,13 +1,13 @@
-"""One whitened problem out of several recordings, and what the base of loop shape and heat can absorb of it.
+"""One whitened problem out of several recordings, and what the nuisance model of loop shape and heat can absorb of it.
 
-With r the whitened residual of the nominal simulation, B the whitened tangent of the base (loop-shape
+With r the whitened residual of the nominal simulation, B the whitened tangent of the nuisance model (loop-shape
 corrections as uncertain as the calibration left them, thermal parameters as uncertain as the fit says),
-every column scaled to a unit normal weight, the base absorbs
+every column scaled to a unit normal weight, the nuisance model absorbs
 
-    b = (B'B + I)^-1 B'r ,   and what is left weighs   q(r) = r'r - r'B (B'B + I)^-1 B'r .
+    b = (B'B + I)^-1 B'r ,   and what is left weighs   chi^2(r) = r'r - r'B (B'B + I)^-1 B'r .
 
-q is the chi-square of the residual under noise and base together, so an effect is judged by how much it
-lowers q: the refit of the base is in it, without being made.
+It is the chi-square of the residual under noise and nuisance model together, so an effect is judged by how much it
+lowers it: the refit of the nuisance model is in it, without being made.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from vo2_models.diagnosis.base import LoopShape, loop_shapes, thermal_spread
-from vo2_models.diagnosis.carry import through_structure
 from vo2_models.diagnosis.nominal import Nominal, Response
+from vo2_models.diagnosis.nuisance import LoopShape, loop_shapes, thermal_spread
+from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.part import Part
+from vo2_models.diagnosis.propagate_correction import through_structure
 from vo2_models.diagnosis.reading import between_samples
-from vo2_models.diagnosis.side_by_side import side_by_side
 from vo2_models.diagnosis.tangent import Tangent
 from vo2_models.recording import HEATER_CURRENT, TIP_DEFLECTION
 
-__all__ = ["Evidence", "LoopColumns", "Row", "gather"]
+__all__ = ["LinearisedProblem", "LoopColumns", "Row", "linearise_problem"]
 
 Floats = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float | str]]
 QUICKEST = 0.2
-"""Least time constant that the base may ask for, as a share of the calibration's, which may hardly tell it."""
+"""Least time constant that the nuisance model may ask for, as a share of the calibration's, which may hardly tell it."""
 STILL_K = 0.1
 """Move of a temperature path over which the loop columns are taken as unchanged [K]."""
 
@@ -49,7 +49,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class LinearisedProblem:
     """The stacked, whitened problem.
 
     Attributes
@@ -61,13 +61,13 @@ class Evidence:
     weight : (N,) 0 where a sample is missing, else what divides the innovation (1 without rough misfit)
     nominal_responses : one per part
     residual : (N,) whitened residual of the nominal simulation
-    base : (N, k) whitened tangent of the base
+    nuisance : (N, k) whitened tangent of the nuisance model
     loops : channel -> the loop columns that were kept, and where they were taken
-    follow : (N, t) what of the thermal columns is the loops' doing: the calibration has fixed them together with the lags
+    loop_coupling : (N, t) what of the thermal columns is the loops' doing: the calibration has fixed them together with the lags
     names : of the thermal columns, which are the last
     spreads : a unit of each thermal column, in the parameter's unit
     included : effects that the nominal responses already have
-    shapes : posterior of the loop shapes behind the base
+    shapes : posterior of the loop shapes behind the nuisance model
     """
 
     nominal: Nominal
@@ -77,16 +77,16 @@ class Evidence:
     weight: Floats
     nominal_responses: tuple[Response, ...]
     residual: Floats
-    base: Tangent
+    nuisance: Tangent
     names: tuple[str, ...]
     spreads: tuple[float, ...]
     included: Effects = field(default_factory=dict)
     shapes: Mapping[str, LoopShape] = field(default_factory=dict)
     loops: Mapping[str, LoopColumns] = field(default_factory=dict)
-    follow: Floats = field(default_factory=lambda: np.zeros((1, 1)))
+    loop_coupling: Floats = field(default_factory=lambda: np.zeros((1, 1)))
 
     def __post_init__(self) -> None:
-        gram = self.base.gram()
+        gram = self.nuisance.gram()
         gram[np.diag_indices_from(gram)] += 1.0
         object.__setattr__(self, "_factor", cho_factor(gram, lower=True))
 
@@ -118,72 +118,72 @@ class Evidence:
 
     def stack(self, responses: Sequence[Response], reference: Sequence[Response] | None = None) -> Floats:
         """Whitened (N,) difference of responses from a reference (by default the nominal ones)."""
-        base = self.nominal_responses if reference is None else reference
+        known = self.nominal_responses if reference is None else reference
         out = np.empty(self.weight.size)
         for row in self.rows:
             new = responses[row.part].channels[row.channel]
-            old = base[row.part].channels[row.channel]
+            old = known[row.part].channels[row.channel]
             out[row.where] = self.nominal.noise[row.channel].whiten(new - old)
         return out * self.weight
 
     def deviation(self, effects: Effects, shift: Floats | None = None, *, fine: bool = True) -> Floats:
         """Whitened (N,) change of the simulation that effects make.
 
-        With `shift`, thermal parameters are moved that far from the model's, and what the linear base says of that
-        move is taken off again: the base still pays for the move, but its curvature is in the deviation.
+        With `shift`, thermal parameters are moved that far from the model's, and what the linear nuisance model says of that
+        move is taken off again: the nuisance model still pays for the move, but its curvature is in the deviation.
         """
         change = self.stack(self.responses(effects, shift, fine=fine))
         if shift is not None and shift.size:
-            change = change - (self.base.thermal - self.follow) @ (shift - self.origin)
+            change = change - (self.nuisance.thermal - self.loop_coupling) @ (shift - self.origin)
         return change
 
     def deviations(
         self, several: Sequence[Effects], shift: Floats | None = None, *, fine: bool = True
     ) -> list[Floats]:
         """`deviation` of several sets of effects, simulated side by side on the cores."""
-        return side_by_side(lambda effects: self.deviation(effects, shift, fine=fine), several)
+        return parallel_map(lambda effects: self.deviation(effects, shift, fine=fine), several)
 
-    def taken(self, against: Floats) -> Floats:
-        """Weights (k,) or (k, p) with which the base absorbs a whitened vector v, from B'v: (B'B + I)^-1 B'v."""
+    def nuisance_weights(self, against: Floats) -> Floats:
+        """Weights (k,) or (k, p) with which the nuisance model absorbs a whitened vector v, from B'v: (B'B + I)^-1 B'v."""
         return np.asarray(cho_solve(self._factor, against, check_finite=False))  # type: ignore[attr-defined]
 
-    def absorb(self, vector: Floats) -> Floats:
-        """Weights (k,) with which the base absorbs a whitened vector."""
-        return self.taken(self.base.against(vector))
+    def fit_nuisance(self, vector: Floats) -> Floats:
+        """Weights (k,) with which the nuisance model absorbs a whitened vector."""
+        return self.nuisance_weights(self.nuisance.against(vector))
 
-    def left(self, vector: Floats) -> Floats:
-        """What the base leaves of a whitened vector (or columns): C^-1 v, C the covariance of noise and base."""
-        return vector - self.base.times(self.absorb(vector))
+    def apply_inverse_covariance(self, vector: Floats) -> Floats:
+        """What the nuisance model leaves of a whitened vector (or columns): C^-1 v, C the covariance of both."""
+        return vector - self.nuisance.times(self.fit_nuisance(vector))
 
-    def left_in(self, rows: slice, columns: Floats) -> Floats:
-        """What the base leaves of whitened columns (n, p) of one channel that are zero in all others."""
-        inner = self.taken(self.base.against_rows(rows, columns))
-        return columns - self.base.times_rows(rows, inner)
+    def apply_inverse_covariance_in(self, rows: slice, columns: Floats) -> Floats:
+        """What the nuisance model leaves of whitened columns (n, p) of one channel that are zero in all others."""
+        inner = self.nuisance_weights(self.nuisance.against_rows(rows, columns))
+        return columns - self.nuisance.times_rows(rows, inner)
 
     @cached_property
-    def q(self) -> float:
-        """q of the residual."""
+    def residual_chi_square(self) -> float:
+        """Chi-square of the residual."""
         return self.chi_square(self.residual)
 
     def chi_square(self, vector: Floats, against: Floats | None = None) -> float:
-        """q of a whitened vector v; `against` is B'v where that is known."""
-        inner = self.base.against(vector) if against is None else against
-        return float(vector @ vector - inner @ self.taken(inner))
+        """Chi-square of a whitened vector v; `against` is B'v where that is known."""
+        inner = self.nuisance.against(vector) if against is None else against
+        return float(vector @ vector - inner @ self.nuisance_weights(inner))
 
     def chi_squares(self, columns: Floats) -> Floats:
-        """q of each of the whitened columns (N, m)."""
-        inner = self.base.against(columns)
-        return np.asarray(np.sum(columns**2, axis=0) - np.sum(inner * self.taken(inner), axis=0))
+        """Chi-square of each of the whitened columns (N, m)."""
+        inner = self.nuisance.against(columns)
+        return np.asarray(np.sum(columns**2, axis=0) - np.sum(inner * self.nuisance_weights(inner), axis=0))
 
-    def restricted(self, keep: NDArray[np.bool_]) -> Evidence:
+    def restricted(self, keep: NDArray[np.bool_]) -> LinearisedProblem:
         """The same problem with only some samples counting: for a fit that leaves blocks out."""
         weight = np.where(keep, self.weight, 0.0)
         return replace(
             self,
             weight=weight,
             residual=np.where(keep, self.residual, 0.0),
-            base=self.base.restricted(keep),
-            follow=self.follow * keep[:, None],
+            nuisance=self.nuisance.restricted(keep),
+            loop_coupling=self.loop_coupling * keep[:, None],
         )
 
     def rows_of(self, channel: str) -> slice:
@@ -197,7 +197,7 @@ class Evidence:
             yield row, self.parts[row.part], self.nominal_responses[row.part]
 
 
-def gather(
+def linearise_problem(
     nominal: Nominal,
     parts: Sequence[Part],
     *,
@@ -206,14 +206,14 @@ def gather(
     shapes: Mapping[str, LoopShape] | None = None,
     loops: Mapping[str, LoopColumns] | None = None,
     say: Callable[[str], None] = lambda text: None,
-) -> Evidence:
-    """Build the problem: loop shape from the calibration, simulation of every part, whitened base.
+) -> LinearisedProblem:
+    """Build the problem: loop shape from the calibration, simulation of every part, whitened nuisance model.
 
     Parameters
     ----------
     nominal : without corrections
     parts : recordings, as `part.prepare` made them
-    shift : move of the thermal parameters to linearise about; the base pays for it as for its own moves
+    shift : move of the thermal parameters to linearise about; the nuisance model pays for it as for its own moves
     effects : effects to linearise about
     shapes : posterior of the loop shapes, where it is known already
     loops : columns of an earlier problem: their directions are kept, and they themselves where the
@@ -255,7 +255,7 @@ def gather(
     residual *= weight
     kept = _loop_columns(shapes, rows, responses, corrected, weight, loops or {})
     blocks = _whitened(kept, rows, parts, corrected, effects or {}, weight)
-    partial = Evidence(
+    partial = LinearisedProblem(
         corrected, origin, tuple(parts), tuple(rows), weight, tuple(responses), residual,
         Tangent((), np.zeros((end, 0))), (), (), dict(effects or {}), shapes, kept,
     )  # fmt: skip
@@ -263,37 +263,37 @@ def gather(
     def column(step: Floats) -> Floats:
         return partial.stack(partial.responses({}, origin + step)) / 0.2
 
-    columns = side_by_side(column, 0.2 * np.eye(origin.size))
-    follow = _following(partial, spreads)
+    columns = parallel_map(column, 0.2 * np.eye(origin.size))
+    coupling = _loop_coupling(partial, spreads)
     thermal_columns = np.column_stack(columns) if columns else np.zeros((end, 0))
-    base = Tangent(blocks, thermal_columns + follow)
-    # told from the model's own thermal parameters, so that the base pays for the origin too
+    nuisance = Tangent(blocks, thermal_columns + coupling)
+    # told from the model's own thermal parameters, so that the nuisance model pays for the origin too
     if origin.size:
-        residual = residual + base.thermal @ origin
+        residual = residual + nuisance.thermal @ origin
     return replace(
         partial,
         residual=residual,
-        base=base,
+        nuisance=nuisance,
         names=tuple(spreads),
         spreads=tuple(spreads.values()),
-        follow=follow,
+        loop_coupling=coupling,
     )
 
 
-def _following(evidence: Evidence, spreads: Mapping[str, float]) -> Floats:
+def _loop_coupling(problem: LinearisedProblem, spreads: Mapping[str, float]) -> Floats:
     """Whitened change (N, t) of the loops that goes with each thermal parameter's step."""
-    out = np.zeros((evidence.weight.size, len(spreads)))
-    simulation = evidence.nominal.model.simulation.with_effects(evidence.included)
-    for row, part, response in evidence.iterate():
-        shape = evidence.shapes.get(row.channel)
+    out = np.zeros((problem.weight.size, len(spreads)))
+    simulation = problem.nominal.model.simulation.with_effects(problem.included)
+    for row, part, response in problem.iterate():
+        shape = problem.shapes.get(row.channel)
         for place, (name, spread) in enumerate(spreads.items()):
             if shape is None or name not in shape.by_lag:
                 continue
             change = shape.basis.fold(spread * shape.by_lag[name], span=shape.span)(response.temperature)
             if row.channel == TIP_DEFLECTION:
                 change = through_structure(simulation, change[:, None], part.dt)[:, 0]
-            whitened = evidence.nominal.noise[row.channel].whiten(change)
-            out[row.where, place] = whitened * evidence.weight[row.where]
+            whitened = problem.nominal.noise[row.channel].whiten(change)
+            out[row.where, place] = whitened * problem.weight[row.where]
     return out
 
 
@@ -366,7 +366,7 @@ def _loop_columns(
             directions = shape.spread(_main_directions(shape.whitened(np.asarray(gram))))
         return LoopColumns(directions, paths, tuple(f @ directions for f in features))
 
-    return dict(zip(present, side_by_side(columns, present), strict=True))
+    return dict(zip(present, parallel_map(columns, present), strict=True))
 
 
 def _whitened(

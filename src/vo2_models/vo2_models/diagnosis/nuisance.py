@@ -1,4 +1,4 @@
-"""What the base may absorb: the loop shape as far as the calibration left it open, and the heat's parameters."""
+"""What the nuisance model may absorb: the loop shape as far as the calibration left it open, and the heat's parameters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.linalg import cholesky, cholesky_banded, solve_banded, solve_triangul
 from vo2_models.device import DeviceModel
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of
-from vo2_models.diagnosis.side_by_side import side_by_side
+from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.identification.enrichment import Correction, EnrichmentBasis
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
@@ -77,7 +77,7 @@ def loop_shapes(nominal: Nominal) -> dict[str, LoopShape]:
     laws = {RESISTANCE: nominal.model.resistance.present, TIP_DEFLECTION: nominal.model.deflection.present}
     present = [channel for channel, known in laws.items() if known]
     return dict(
-        zip(present, side_by_side(lambda channel: _loop_shape(nominal, channel), present), strict=True)
+        zip(present, parallel_map(lambda channel: _loop_shape(nominal, channel), present), strict=True)
     )
 
 
