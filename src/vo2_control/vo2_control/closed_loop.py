@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from vo2_models.device import chain
-from vo2_models.device.presets import preset
+from vo2_models.device.description import preset
 from vo2_models.device.simulation import Simulation, white_noise
 from vo2_models.numerics.kernel import kernel
 from vo2_models.self_sensing.composite import CompositeSelfSensing, composite_step

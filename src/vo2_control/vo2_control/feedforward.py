@@ -17,8 +17,8 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from vo2_models.device.description import preset
 from vo2_models.device.model import DeviceModel
-from vo2_models.device.presets import preset
 from vo2_models.hysteresis import RobustInverse
 from vo2_models.hysteresis.inverse_kernels import solve
 from vo2_models.hysteresis.kernels import egpi_step

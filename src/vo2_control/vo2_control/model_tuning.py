@@ -6,8 +6,8 @@ import itertools
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from vo2_models.device.description import preset
 from vo2_models.device.model import DeviceModel
-from vo2_models.device.presets import preset
 from vo2_models.device.simulation import TRUE_DEFLECTION, Simulation
 from vo2_models.parameters import Value
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from vo2_estimation.resistance_check import ResistanceCheck, SensorLimits, sensor_limits
 from vo2_models.device import truth
-from vo2_models.device.presets import preset
+from vo2_models.device.description import preset
 from vo2_models.identification.excitation import damped_oscillation, random_levels
 
 MODEL = {"model.sensors.film_resistance.noise": 0.002}

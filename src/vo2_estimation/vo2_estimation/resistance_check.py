@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from vo2_models.device.presets import preset
+from vo2_models.device.description import preset
 from vo2_models.parameters import Value
 
 __all__ = ["ResistanceCheck", "SensorLimits", "sensor_limits"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,6 +69,7 @@ def _convert(options: argparse.Namespace) -> int:
 
 def _convert_file(file: Path, column_map: ColumnMap, options: argparse.Namespace, *, several: bool) -> None:
     from vo2_models.identification.plausibility import impossible, unusual
+    from vo2_models.units import CHANNEL_QUANTITIES, SI
 
     from vo2_identification.bags import write_bag
     from vo2_identification.bags.problems import in_few_lines
@@ -80,9 +81,13 @@ def _convert_file(file: Path, column_map: ColumnMap, options: argparse.Namespace
         write_bag(path, recording, storage=options.storage, namespace=options.namespace)
         for problem in in_few_lines(converted.problems):
             print(f"convert: {problem}", file=sys.stderr)
-        for doubt in [*impossible(recording, recording.device), *unusual(recording, recording.device)]:
-            print(f"convert: {file}: {doubt}", file=sys.stderr)
-        print(_line(recording, path), flush=True)
+        units = {name: SI[quantity] for name, quantity in CHANNEL_QUANTITIES.items()}
+        if (device := column_map.described) is not None:
+            inside = device.in_roles(recording)
+            for doubt in [*impossible(inside, device.key), *unusual(inside, device.key)]:
+                print(f"convert: {file}: {doubt}", file=sys.stderr)
+            units |= {name: device.units[role] for role, name in device.names.items()}
+        print(_line(recording, path, units), flush=True)
 
 
 def shipped_maps() -> dict[str, Path]:
@@ -108,11 +113,9 @@ def _map_path(name: str) -> Path:
     return Path(name)
 
 
-def _line(recording: Recording, path: Path) -> str:
-    from vo2_identification.conversion.units import CHANNEL_QUANTITIES, SI
-
+def _line(recording: Recording, path: Path, units: Mapping[str, str]) -> str:
     ranges = ", ".join(
-        f"{name} {np.nanmin(values):.6g} to {np.nanmax(values):.6g} {SI[CHANNEL_QUANTITIES[name]]}".rstrip()
+        f"{name} {np.nanmin(values):.6g} to {np.nanmax(values):.6g} {units[name]}".removesuffix(" 1")
         if np.isfinite(values).any()
         else f"{name} without any value"
         for name, values in recording.channels.items()

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vo2_interface.model import operating_point
 from vo2_interface.parameters import ParameterTable
-from vo2_models.device.presets import preset
+from vo2_models.device.description import preset
 from vo2_models.device.surrogate import surrogate_of_temperature
 from vo2_models.identification.excitation import (
     Excitation,

@@ -47,7 +47,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from vo2_models.device.presets import preset
+    from vo2_models.device.description import preset
     from vo2_models.model_file import save_model_parameters
 
     from vo2_identification.bags import read_recording
@@ -55,11 +55,11 @@ def _run(options: argparse.Namespace) -> int:
 
     begun = time.monotonic()
     try:
-        preset(options.device)
+        device = preset(options.device)
         _check_place(options.output)
         recordings = []
         for bag in options.bag:
-            recording, problems = read_recording(bag)
+            recording, problems = read_recording(bag, device=device)
             for problem in in_few_lines(problems):
                 print(f"fit: {bag}: {problem}", file=sys.stderr)
             recordings.append(_of_device(recording, options.device, bag))
@@ -214,9 +214,9 @@ def _noise(path: Floats, residual: Floats, result: FitResult, channel: str) -> t
 
 def _of_device(recording: Recording, device: str, bag: Path) -> Recording:
     """Refuse a bag of another known device."""
-    from vo2_models.device.presets import PRESETS
+    from vo2_models.device.description import PRESETS, preset
 
-    if recording.device in PRESETS and recording.device != device:
+    if recording.device in PRESETS and recording.device != preset(device).id:
         raise ValueError(
             f"{bag}: was recorded on device {recording.device}, need --device {recording.device}"
         )
@@ -265,7 +265,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--bag", type=Path, action="append", required=True, help="bag to fit; may be repeated"
     )
-    parser.add_argument("--device", required=True, help="device preset: integrated or peltier")
+    parser.add_argument(
+        "--device", required=True, help="device: integrated, peltier, or the path of a device file"
+    )
     parser.add_argument("--output", type=Path, required=True, help="model file to write (YAML)")
     parser.add_argument("--plays", type=_plays, default=12, help="plays of each channel's loop (default 12)")
     parser.add_argument(

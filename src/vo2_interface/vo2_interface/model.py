@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-from vo2_models.device.presets import PRESETS as _PRESETS
-from vo2_models.device.presets import preset
+from vo2_models.device.description import PRESETS as _PRESETS
+from vo2_models.device.description import preset
 from vo2_models.parameters import Parameter
 
 __all__ = ["PRESETS", "OperatingPoint", "model_parameters", "operating_point"]

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from vo2_models.device.bank import PlayBank
 from vo2_models.device.chain import COLUMNS
 from vo2_models.device.coefficients import Coefficient
+from vo2_models.device.description import preset
 from vo2_models.device.model import DeviceModel
 from vo2_models.device.plays import bank_output, tanh
-from vo2_models.device.presets import preset
 
 PLAYS = [(0.30, 60.0, 2.0), (0.22, 59.0, 3.5), (0.35, 58.0, 5.0)]
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from vo2_models.device.description import DeviceDescription
 from vo2_models.recording import (
     COMMANDED_CURRENT,
     HEATER_CURRENT,
@@ -42,7 +43,9 @@ KNOWN_CHANNELS = (
 """Channels that are read; a message may have others, which are ignored."""
 
 
-def read_recording(path: str | Path, *, namespace: str = "/vo2") -> tuple[Recording, list[Problem]]:
+def read_recording(
+    path: str | Path, *, device: DeviceDescription | None = None, namespace: str = "/vo2"
+) -> tuple[Recording, list[Problem]]:
     """Return the measurement of a bag, with the commanded current if it has commands, and what is wrong.
 
     Missing samples of a channel are NaN, infinite ones too. `commanded_current` is NaN up to the first command.
@@ -50,13 +53,18 @@ def read_recording(path: str | Path, *, namespace: str = "/vo2") -> tuple[Record
     Parameters
     ----------
     path : bag directory (with or without metadata.yaml), or a single .mcap or .db3 file
+    device : whose channels are read and returned under the names of their roles; None for those of the contract
     namespace : where the topics are looked for first; else any namespace is taken, and reported
 
     Raises
     ------
     BagError : no bag, or no measurement in it.
     """
-    recordings, problems = read_bag(path, namespace=namespace, roles=("measurement", "command"))
+    drive = HEATER_CURRENT if device is None else device.drive_channel
+    wanted = KNOWN_CHANNELS if device is None else (*KNOWN_CHANNELS, *device.names.values())
+    recordings, problems = read_bag(
+        path, namespace=namespace, roles=("measurement", "command"), channels=wanted
+    )
     if "measurement" not in recordings:
         others = [str(problem) for problem in problems if problem.kind != "missing_topic"][:3]
         raise BagError(
@@ -64,13 +72,13 @@ def read_recording(path: str | Path, *, namespace: str = "/vo2") -> tuple[Record
             f"{JOINT_STATE}), need them" + "".join(f"; {other}" for other in others)
         )
     measurement = recordings["measurement"]
+    if device is not None:
+        measurement = device.in_roles(measurement)
     command = recordings.get("command")
-    if command is None or HEATER_CURRENT not in command:
+    if command is None or drive not in command:
         return measurement, problems
     channels = dict(measurement.channels)
-    channels[COMMANDED_CURRENT] = commanded_current(
-        command.time_s, command[HEATER_CURRENT], measurement.time_s
-    )
+    channels[COMMANDED_CURRENT] = commanded_current(command.time_s, command[drive], measurement.time_s)
     return Recording(measurement.time_s, channels, measurement.device), problems
 
 
@@ -113,7 +121,7 @@ def read_bag(
         if name is None:
             text = f"no samples on this topic, nor on another .../{role} of type {JOINT_STATE}"
             if role == "command":
-                text = f"no commands in this bag: the logged {HEATER_CURRENT} counts as the drive"
+                text = "no commands in this bag: the logged values are taken as the drive"
             problems.append(Problem("missing_topic", f"{namespace.rstrip('/')}/{role}", text))
             continue
         recording = _recording(name, samples[name], channels, problems, regular=role != "reference")

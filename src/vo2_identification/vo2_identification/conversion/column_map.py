@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-
-from vo2_identification.conversion.units import CHANNEL_QUANTITIES, Unit, fitting_units, unit_named
+from vo2_models.device.description import PRESETS, DeviceDescription, preset
+from vo2_models.units import CHANNEL_QUANTITIES, SI, Unit, fitting_units, unit_named
 
 __all__ = ["ColumnMap", "Guard", "MapError", "Series", "Source", "read_map"]
 
@@ -65,7 +65,8 @@ class ColumnMap:
     header_row : row of the column names, from 1; 0 where there is none
     first_row, last_row : rows of the samples, from 1; last_row 0 for the end
     missing : cells that mean "no value", in lower case
-    device : preset or name of the device
+    device : id of the device
+    described : what the device is, where the map names a preset or a device file; None for a mere name
     series : the recordings in each table
     """
 
@@ -82,6 +83,7 @@ class ColumnMap:
     last_row: int
     missing: frozenset[str]
     device: str
+    described: DeviceDescription | None
     series: tuple[Series, ...]
 
 
@@ -137,9 +139,16 @@ def read_map(path: Path) -> ColumnMap:
         raise MapError(f"{where}: delimiter: found {delimiter!r}, need one character, tab or whitespace")
     if "series" in table and "channels" in table:
         raise MapError(f"{where}: found series and channels, need one of them")
+    device = table.get("device", "")
+    described = _device(device, path)
+    quantities = dict(CHANNEL_QUANTITIES)
+    if described is not None:
+        of_unit = {unit: quantity for quantity, unit in SI.items()}
+        units = described.units
+        quantities |= {name: of_unit[units[role]] for role, name in described.names.items()}
     parts = table.get("series") or {"": {key: table[key] for key in ("time", "channels") if key in table}}
     series = tuple(
-        _series(str(name), part, table.get("time"), f"{where}: series {name}" if name else where)
+        _series(str(name), part, table.get("time"), f"{where}: series {name}" if name else where, quantities)
         for name, part in parts.items()
     )
     return ColumnMap(
@@ -155,21 +164,34 @@ def read_map(path: Path) -> ColumnMap:
         first_row=table.get("first_row", header + 1),
         last_row=table.get("last_row", 0),
         missing=frozenset(str(text).lower() for text in table.get("missing", _MISSING)),
-        device=table.get("device", ""),
+        device=device if described is None else described.id,
+        described=described,
         series=series,
     )
 
 
-def _series(name: str, part: Any, common_time: Any, where: str) -> Series:
+def _device(name: str, path: Path) -> DeviceDescription | None:
+    """What a map's device is: a preset, a device file beside the map (or as the path says), or a mere name."""
+    if not name.endswith((".yaml", ".yml")):
+        return preset(name) if name in PRESETS else None
+    try:
+        return preset(path.parent / name)
+    except ValueError as error:
+        raise MapError(f"map {path}: device: {error}") from error
+
+
+def _series(name: str, part: Any, common_time: Any, where: str, quantities: Mapping[str, str]) -> Series:
     part = _checked(part, {"time": dict, "channels": dict}, where)
     if not part.get("channels"):
-        raise MapError(f"{where}: found no channels, need at least one of {', '.join(CHANNEL_QUANTITIES)}")
+        raise MapError(f"{where}: found no channels, need at least one of {', '.join(quantities)}")
     channels, guards = {}, {}
     for channel, entry in part["channels"].items():
         place = f"{where}: channel {channel}"
-        if channel not in CHANNEL_QUANTITIES:
-            raise MapError(f"{place}: not a channel, need one of {', '.join(CHANNEL_QUANTITIES)}")
-        channels[channel] = _source(entry, CHANNEL_QUANTITIES[channel], place)
+        if channel not in quantities:
+            raise MapError(
+                f"{place}: not a channel, need one of {', '.join(quantities)}; or name a device file that has it"
+            )
+        channels[channel] = _source(entry, quantities[channel], place)
         if "valid_where" in entry:
             guards[channel] = _guard(entry["valid_where"], f"{place}: valid_where")
     for channel, guard in guards.items():

@@ -14,9 +14,9 @@ from typing import Any
 _HOME = {
     "PARAMETERS": "model",
     "DeviceModel": "model",
-    "PRESETS": "presets",
-    "Preset": "presets",
-    "preset": "presets",
+    "PRESETS": "description",
+    "DeviceDescription": "description",
+    "preset": "description",
     "Simulation": "simulation",
     "Stepper": "stepper",
     "TruthDevice": "ground_truth",

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.optimize import fsolve
 
 from vo2_models.device.coefficients import Coefficient, Sensor, sensor_index
+from vo2_models.device.description import DeviceDescription, preset
 from vo2_models.device.ensemble import population, sort_population
 from vo2_models.device.laws import truth_deflection
-from vo2_models.device.presets import Preset, preset
 from vo2_models.device.simulation import ENSEMBLE, Simulation, nominal_coefficients
 from vo2_models.device.stepper import Stepper
 from vo2_models.recording import RESISTANCE
@@ -64,7 +64,7 @@ def truth(
 
     Parameters
     ----------
-    name : preset id
+    name : id of a shipped device, or path of a device file that tells film and structure
     seed : draws the device's own parameters and domains; None gives the nominal device, which spans the published ranges
     effects : physics beyond the nominal device, `{id: {parameter: value}}`
     spread : scales the device-to-device spread `SPREAD`
@@ -73,9 +73,10 @@ def truth(
 
     Raises
     ------
-    ValueError : unknown preset or effect, a parameter out of its range.
+    ValueError : unknown device or effect, a device whose material is not told, a parameter out of its range.
     """
     nominal = preset(name)
+    name = nominal.key
     drawn = _draw(nominal, seed, spread)
     c = _calibrated(name, domains).copy()
     c[Coefficient.TIME_CONSTANT] *= drawn["time_constant"]
@@ -109,7 +110,7 @@ def truth(
     return replace(device, coefficients=device.with_effects(effects or {}).coefficients)
 
 
-def _draw(nominal: Preset, seed: int | None, spread: float) -> dict[str, float]:
+def _draw(nominal: DeviceDescription, seed: int | None, spread: float) -> dict[str, float]:
     """Factors (and the shift `heating` in kelvin) of one device; the neutral ones without seed."""
     if seed is None:
         return {key: 0.0 if key == "heating" else 1.0 for key in SPREAD}
@@ -127,15 +128,21 @@ def _draw(nominal: Preset, seed: int | None, spread: float) -> dict[str, float]:
 def _calibrated(name: str, domains: int) -> np.ndarray:
     """Coefficients of the nominal device, computed so that its major loop spans the published ranges."""
     nominal = preset(name)
+    sites = nominal.sites
+    if sites is None:
+        raise ValueError(
+            f"device {nominal.id}: its file has no film, or no structure with expansion: its material cannot be simulated; "
+            "fit a model and run that"
+        )
     c = nominal_coefficients(nominal)
     cold, hot = (nominal.steady_temperature(current) for current in nominal.operating_range)
     c[Coefficient.METAL], c[Coefficient.INSULATOR] = nominal.resistance_range
     c[Coefficient.REFERENCE_LOW], c[Coefficient.REFERENCE_HIGH] = cold, hot
-    c[Coefficient.ACTIVATION] = nominal.activation
-    c[Coefficient.METAL_SLOPE] = nominal.metal_slope
-    c[Coefficient.THRESHOLD] = nominal.threshold
+    c[Coefficient.ACTIVATION] = sites.activation
+    c[Coefficient.METAL_SLOPE] = sites.metal_slope
+    c[Coefficient.THRESHOLD] = sites.threshold
     c[Coefficient.LENGTH] = nominal.length
-    c[Coefficient.EXPANSION_COLD], c[Coefficient.EXPANSION_HOT] = nominal.expansion
+    c[Coefficient.EXPANSION_COLD], c[Coefficient.EXPANSION_HOT] = sites.expansion
     for channel, level in nominal.noise.items():
         kind = Sensor.NOISE_RELATIVE if channel == RESISTANCE else Sensor.NOISE
         c[sensor_index(channel, kind)] = level

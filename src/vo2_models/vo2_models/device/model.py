@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from vo2_models.device.bank import PlayBank, bank_parameters
 from vo2_models.device.coefficients import CHANNELS, Coefficient, Sensor, sensor_index
-from vo2_models.device.presets import PRESETS, preset
+from vo2_models.device.description import DeviceDescription, DeviceParameter, preset
 from vo2_models.device.simulation import PLAYS, Simulation, nominal_coefficients
 from vo2_models.device.stepper import Stepper
 from vo2_models.effects import effects as catalogue
@@ -23,11 +23,11 @@ from vo2_models.recording import RESISTANCE, Recording
 __all__ = ["PARAMETERS", "DeviceModel", "SensorModel", "fitted_names"]
 
 SCALARS = {
-    "driver.dead_time": ("s", "dead time between current and heat", 0.0, 1e3),
-    "thermal.ambient": ("degC", "temperature without current", -50.0, 150.0),
-    "thermal.linear_gain": ("K/A", "steady temperature rise per current", -1e4, 1e4),
-    "thermal.square_gain": ("K/A^2", "steady temperature rise per squared current", 0.0, 1e9),
-    "thermal.time_constant": ("s", "thermal time constant", 1e-6, 1e6),
+    "driver.dead_time": ("s", "dead time between current and heat", 0.0, 1e6),
+    "thermal.ambient": ("degC", "temperature without current", -1e9, 1e9),
+    "thermal.linear_gain": ("K/A", "steady temperature rise per current", -1e12, 1e12),
+    "thermal.square_gain": ("K/A^2", "steady temperature rise per squared current", 0.0, 1e15),
+    "thermal.time_constant": ("s", "thermal time constant", 1e-9, 1e9),
 }
 """Scalar parameters of the sections driver and thermal: unit, meaning, range. `model.` goes before."""
 _COEFFICIENT = {
@@ -106,8 +106,8 @@ def fitted_names() -> tuple[str, ...]:
 
 
 PARAMETERS: tuple[Parameter, ...] = (
-    Parameter(
-        "model.device", "", "", "preset the model belongs to; empty without model", choices=("", *PRESETS)
+    DeviceParameter(
+        "model.device", "", "", "id of a shipped device, or the whole description of another one; empty without model"
     ),
     *_scalar_parameters(),
     *bank_parameters("model.resistance", "-log10 of the film resistance", "log10 ohm"),
@@ -130,7 +130,7 @@ class DeviceModel:
 
     Attributes
     ----------
-    device : preset id
+    device : id of a shipped device; the path of a device file, of which the model keeps the whole description
     scalars : values of `SCALARS`, in their units; absent ones are the preset's
     resistance : law of -log10(R / ohm) over the film temperature
     deflection : law of the tip deflection [m]; empty where the recording had none
@@ -152,7 +152,9 @@ class DeviceModel:
     uncertainty: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        nominal = nominal_coefficients(preset(self.device))
+        description = preset(self.device)
+        object.__setattr__(self, "device", description.key)
+        nominal = nominal_coefficients(description)
         complete = {}
         known = {p.name.removeprefix("model."): p for p in _scalar_parameters()}
         for name in self.scalars:
@@ -165,6 +167,11 @@ class DeviceModel:
         for channel in self.sensors:
             sensor_index(channel, Sensor.NOISE)
         self.simulation  # noqa: B018  (checks the effects)
+
+    @property
+    def description(self) -> DeviceDescription:
+        """What the device is."""
+        return preset(self.device)
 
     @cached_property
     def simulation(self) -> Simulation:

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from vo2_models.device import chain
 from vo2_models.device.coefficients import CHANNELS, FEEDBACK, Coefficient, Sensor, neutral, sensor_index
 from vo2_models.device.core import ENSEMBLE, PLAYS
+from vo2_models.device.description import DeviceDescription, preset
 from vo2_models.device.mode import mode_step
-from vo2_models.device.presets import Preset, preset
 from vo2_models.device.state import CURRENT_LINE, SENSOR_LINE, ChainState, Slot
 from vo2_models.effects import apply_effects
 from vo2_models.recording import COMMANDED_CURRENT, Recording
@@ -51,7 +51,7 @@ _FEEDBACK = list(FEEDBACK)
 Floats = NDArray[np.float64]
 
 
-def nominal_coefficients(device: Preset) -> Floats:
+def nominal_coefficients(device: DeviceDescription) -> Floats:
     """Return the coefficients of the preset's driver and thermal model, with everything else neutral."""
     c = neutral()
     c[Coefficient.RANGE_LOW], c[Coefficient.RANGE_HIGH] = device.current_range

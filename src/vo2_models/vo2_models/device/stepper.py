@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vo2_models.device import chain
 from vo2_models.device.coefficients import CHANNELS
-from vo2_models.device.presets import preset
+from vo2_models.device.description import preset
 from vo2_models.device.simulation import Simulation, noise_generators
 from vo2_models.validation import positive_number
 

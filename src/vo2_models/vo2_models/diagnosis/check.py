@@ -41,7 +41,7 @@ def check_recording(recording: Recording, nominal: Nominal, *, name: str = "reco
     Unusable : another device, no usable channel, too short, constant drive, nothing but noise, a wrong clock.
     """
     # a rig may call itself what it likes; a preset's name is a claim
-    if recording.device in PRESETS and recording.device != nominal.device:
+    if recording.device in PRESETS and recording.device != preset(nominal.device).id:
         raise Unusable(
             f"{name}: was recorded on device {recording.device!r}, the model is of {nominal.device!r}; "
             "give the model of this device"

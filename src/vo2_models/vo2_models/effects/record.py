@@ -91,7 +91,7 @@ class Effect:
 
     def reaches_any(self, device: str) -> tuple[str, ...]:
         """Return the channels of a device that the effect can reach with any signal."""
-        from vo2_models.device.presets import preset
+        from vo2_models.device.description import preset
 
         return tuple(name for name in self.channels if name in preset(device).channels)
 

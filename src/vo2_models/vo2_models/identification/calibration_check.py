@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.device.presets import preset
+from vo2_models.device.description import preset
 from vo2_models.diagnosis.nominal import judged
 from vo2_models.identification.plausibility import impossible, unusual
 from vo2_models.recording import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.device.presets import PRESETS, Preset
+from vo2_models.device.description import DeviceDescription, preset
 from vo2_models.recording import (
     HEATER_CURRENT,
     RESISTANCE,
@@ -18,7 +18,7 @@ __all__ = ["impossible", "unusual"]
 
 _MARGIN = 0.05
 _FAR = 30.0
-_LONGEST_M = 10e-3
+_FAR_RANGE = 150.0
 _HOTTEST_DEGC = 200.0
 _COLDEST_DEGC = -100.0
 
@@ -26,16 +26,12 @@ _COLDEST_DEGC = -100.0
 def impossible(recording: Recording, device: str) -> list[str]:
     """Return what cannot be: values beyond what the device allows or physics knows, one clause each.
 
-    Nothing is said about a device without a preset.
-
     Parameters
     ----------
-    recording : in the units of a recording (A, ohm, m, degC)
-    device : preset id
+    recording : in roles, in the units of a recording (A, ohm, m, degC)
+    device : as `preset` takes it
     """
-    nominal = PRESETS.get(device)
-    if nominal is None:
-        return []
+    nominal = preset(device)
     found = []
     for name, values in recording.channels.items():
         finite = values[np.isfinite(values)]
@@ -46,8 +42,11 @@ def impossible(recording: Recording, device: str) -> list[str]:
 
 def unusual(recording: Recording, device: str) -> list[str]:
     """Return what is far from the device of the preset, but may be so on another one of its kind; one clause each."""
-    nominal = PRESETS.get(device)
-    if nominal is None or RESISTANCE not in recording:
+    nominal = preset(device)
+    if (
+        not nominal.tells("responses", nominal.names.get(RESISTANCE, ""), "range")
+        or RESISTANCE not in recording
+    ):
         return []
     values = recording[RESISTANCE]
     values = values[np.isfinite(values)]
@@ -68,29 +67,33 @@ def unusual(recording: Recording, device: str) -> list[str]:
     return found
 
 
-def _impossible(name: str, values: NDArray[np.float64], nominal: Preset) -> str:
+def _impossible(role: str, values: NDArray[np.float64], nominal: DeviceDescription) -> str:
     low, high = float(np.min(values)), float(np.max(values))
-    if name == HEATER_CURRENT:
+    name, unit = nominal.names.get(role, role), nominal.units.get(role, "")
+    if role == HEATER_CURRENT:
         least, most = nominal.current_range
         slack = _MARGIN * (most - least)
         if low >= least - slack and high <= most + slack:
             return ""
         milli = low >= 1e3 * (least - slack) and high <= 1e3 * (most + slack) and high > 20 * most
-        guess = " (is it in mA?)" if milli else ""
+        guess = f" (is it in m{unit}?)" if milli else ""
         if least >= 0 > low and high <= slack:
             guess = " (is its sign reversed?)"
         return (
-            f"{name} runs from {low:.4g} to {high:.4g} A, device {nominal.id} allows {least:.4g} to {most:.4g} A: "
-            f"check the unit{guess}"
+            f"{name} runs from {low:.4g} to {high:.4g} {unit}, device {nominal.id} allows {least:.4g} to {most:.4g} "
+            f"{unit}: check the unit{guess}"
         )
-    if name == RESISTANCE and np.count_nonzero(values > 0) < 0.5 * values.size:
-        return f"{name} is not above zero in most samples ({low:.4g} to {high:.4g} ohm): check the sign and the column"
-    if name == TIP_DEFLECTION and high - low > _LONGEST_M:
-        return (
-            f"{name} runs from {low:.4g} to {high:.4g} m, device {nominal.id} bends by "
-            f"{nominal.deflection_range:.4g} m: check the unit (is it in um?)"
-        )
-    if name == STAGE_TEMPERATURE and (low < _COLDEST_DEGC or high > _HOTTEST_DEGC):
+    if role == RESISTANCE and np.count_nonzero(values > 0) < 0.5 * values.size:
+        return f"{name} is not above zero in most samples ({low:.4g} to {high:.4g} {unit}): check the sign and the column"
+    if role == TIP_DEFLECTION and nominal.tells("responses", name, "range"):
+        extent = nominal.deflection_range
+        if high - low > _FAR_RANGE * extent:
+            guess = " (is it in um?)" if unit == "m" else ""
+            return (
+                f"{name} runs from {low:.4g} to {high:.4g} {unit}, device {nominal.id} spans {extent:.4g} {unit}: "
+                f"check the unit{guess}"
+            )
+    if role == STAGE_TEMPERATURE and (low < _COLDEST_DEGC or high > _HOTTEST_DEGC):
         guess = " (is it in K?)" if low > 200 else ""
         return f"{name} runs from {low:.4g} to {high:.4g} degC: check the unit{guess}"
     return ""

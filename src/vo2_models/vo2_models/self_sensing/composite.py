@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from vo2_models.device import surrogate_of_temperature
 from vo2_models.device.bank import PlayBank
-from vo2_models.device.presets import preset
+from vo2_models.device.description import preset
 from vo2_models.hysteresis import EGPI, RobustInverse
 from vo2_models.hysteresis.inverse_kernels import invert_update
 from vo2_models.hysteresis.kernels import egpi_step

@@ -17,7 +17,7 @@ from vo2_control.designs import design_controller
 from vo2_control.references import REFERENCES
 from vo2_interface.model import operating_point
 from vo2_models.device import truth
-from vo2_models.device.presets import preset
+from vo2_models.device.description import preset
 from vo2_models.device.simulation import TRUE_DEFLECTION
 from vo2_models.identification.excitation import damped_oscillation, random_levels
 from vo2_models.recording import RESISTANCE, Recording

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from vo2_models.device import truth
-from vo2_models.device.presets import preset
+from vo2_models.device.description import preset
 from vo2_models.hysteresis.preisach.beam import curvature_from_deflection
 from vo2_models.hysteresis.preisach.least_squares import fit_preisach
 from vo2_models.hysteresis.preisach.nonmonotonic import fit_nonmonotonic

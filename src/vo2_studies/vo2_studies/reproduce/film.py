@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 from vo2_models.device import truth
-from vo2_models.device.presets import preset
+from vo2_models.device.description import preset
 from vo2_models.hysteresis.fitting_gpi import PlayFit, fit_play_model
 from vo2_models.hysteresis.preisach.beam import curvature_from_deflection
 from vo2_models.identification.excitation import damped_oscillation

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from vo2_control.closed_loop import LoopResult
 from vo2_control.pid import PUBLISHED_PELTIER_PID
 from vo2_models.device import truth
-from vo2_models.device.presets import preset
+from vo2_models.device.description import preset
 from vo2_models.parameters import Value
 
 from vo2_studies.demo.errors import PhaseData, tracking_error

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from vo2_models.device.description import preset
 from vo2_models.device.model import DeviceModel
-from vo2_models.device.presets import preset
 from vo2_models.device.simulation import Simulation
 from vo2_models.identification.device_fit import fit_device
 from vo2_models.identification.excitation import damped_oscillation

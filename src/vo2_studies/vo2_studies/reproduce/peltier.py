@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 from vo2_control.closed_loop import LoopResult, run_loop
 from vo2_control.controller import CurrentLimits, LinearController
-from vo2_models.device.presets import preset
+from vo2_models.device.description import preset
 from vo2_models.device.simulation import Simulation
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 from vo2_models.self_sensing.polynomial import PolynomialSelfSensing

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from vo2_models.device.presets import preset
+from vo2_models.device.description import preset
 from vo2_models.parameters import Value
 
 from vo2_studies.demo.errors import PhaseData, loop_recordings, phase_data

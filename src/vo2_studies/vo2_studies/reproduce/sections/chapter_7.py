@@ -12,7 +12,7 @@ from vo2_control.feedforward import feedforward_from_model
 from vo2_control.model_tuning import tuned_from_model
 from vo2_control.pid import PidGains, pid_controller
 from vo2_models.device import truth
-from vo2_models.device.presets import preset
+from vo2_models.device.description import preset
 from vo2_models.device.simulation import TRUE_DEFLECTION
 from vo2_models.identification.excitation import random_levels
 from vo2_models.recording import RESISTANCE

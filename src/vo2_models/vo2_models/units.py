@@ -1,16 +1,12 @@
-"""Units a rig may write its columns in, and the channels they fit."""
+"""Units a rig may write its numbers in, the quantities they measure, and the unit that a recording has of each."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from difflib import get_close_matches
 
-from vo2_models.recording import (
-    HEATER_CURRENT,
-    RESISTANCE,
-    STAGE_TEMPERATURE,
-    TIP_DEFLECTION,
-)
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
 __all__ = ["CHANNEL_QUANTITIES", "SI", "UNITS", "Unit", "fitting_units", "unit_named"]
 
@@ -26,7 +22,26 @@ class Unit:
 
 _PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "m": 1e-3, "u": 1e-6, "n": 1e-9}
 _MICRO = ("\N{MICRO SIGN}", "\N{GREEK SMALL LETTER MU}")
-_BASES = {"m": "length", "s": "time", "A": "current", "V": "voltage", "ohm": "resistance"}
+_BASES = {
+    "m": "length",
+    "s": "time",
+    "A": "current",
+    "V": "voltage",
+    "ohm": "resistance",
+    "S": "conductance",
+    "W": "power",
+    "J": "energy",
+    "C": "charge",
+    "F": "capacitance",
+    "N": "force",
+    "Pa": "pressure",
+    "T": "flux density",
+    "A/m": "magnetic field",
+    "A m2": "magnetic moment",
+    "rad": "angle",
+    "Hz": "frequency",
+    "m/s": "velocity",
+}
 _OTHER_NAMES = {
     "ohm": ("Ohm", "\N{GREEK CAPITAL LETTER OMEGA}", "\N{OHM SIGN}"),
     "degC": ("°C",),
@@ -44,18 +59,20 @@ UNITS = {
     "degC": Unit("temperature", 1.0),
     "K": Unit("temperature", 1.0, -273.15),
     "degF": Unit("temperature", 5 / 9, -160 / 9),
+    "bar": Unit("pressure", 1e5),
+    "Oe": Unit("magnetic field", 1e3 / (4.0 * math.pi)),
+    "G": Unit("flux density", 1e-4),
+    "emu": Unit("magnetic moment", 1e-3),
+    "deg": Unit("angle", math.pi / 180.0),
+    "%": Unit("number", 0.01),
     "1": Unit("number", 1.0),
 }
 """Name in a map -> unit; `unit_named` knows further spellings."""
 
 SI = {
-    "length": "m",
-    "time": "s",
-    "current": "A",
-    "voltage": "V",
-    "resistance": "ohm",
+    **{kind: base for base, kind in _BASES.items()},
     "temperature": "degC",
-    "number": "",
+    "number": "1",
 }
 """Quantity -> unit of a recording."""
 
@@ -70,7 +87,7 @@ CHANNEL_QUANTITIES = {
     "ambient_temperature": "temperature",
     "laser_on": "number",
 }
-"""Channels that a map can fill, and what they measure."""
+"""Channels of the contract, and what they measure; a device file may name others."""
 
 
 def unit_named(name: str, quantity: str) -> Unit | None:
