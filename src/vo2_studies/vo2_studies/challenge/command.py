@@ -13,9 +13,9 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, fields
 from pathlib import Path
 
-from vo2_studies.challenge.domains import FAMILIES
 from vo2_studies.challenge.draw import KINDS, CasePlan, plan_case
 from vo2_studies.challenge.excitation import EXCITATIONS
+from vo2_studies.challenge.families import ALL, FAMILIES, chosen_families
 from vo2_studies.challenge.runner import CaseRunner, Paths, Settings, finished, load_json, save_json
 
 __all__ = ["main"]
@@ -41,7 +41,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--kinds", default="", help=f"comma-separated, of {', '.join(KINDS)}")
     parser.add_argument("--device", help="one preset only")
     parser.add_argument("--misfit", type=float, default=0.1, help="scatter of the concealed hysteresis")
-    parser.add_argument("--family", default="plays", help=f"concealed hysteresis: {' or '.join(FAMILIES)}")
+    parser.add_argument(
+        "--family", default=ALL, help=f"concealed hysteresis: {ALL} (in turn) or one of {', '.join(FAMILIES)}"
+    )
+    parser.add_argument("--leave-out", default="", help="with --family all: all but this one")
     parser.add_argument(
         "--excitation",
         choices=list(EXCITATIONS),
@@ -96,6 +99,7 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
         arguments.seed,
         arguments.misfit,
         arguments.family,
+        arguments.leave_out,
         arguments.device,
         _words(arguments.only_effects),
         _words(arguments.kinds),
@@ -108,8 +112,7 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
             )
         if not 0 <= arguments.misfit <= 0.3:
             raise ValueError(f"misfit: found {arguments.misfit}, need 0 to 0.3")
-        if arguments.family not in FAMILIES:
-            raise ValueError(f"family: found {arguments.family!r}, need one of {', '.join(FAMILIES)}")
+        families = chosen_families(arguments.family, arguments.leave_out)
         plans = [
             plan_case(
                 settings.seed,
@@ -117,6 +120,7 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
                 only_effects=settings.only_effects,
                 device=settings.device,
                 kinds=settings.kinds,
+                families=families,
             )
             for index in range(arguments.cases)
         ]

@@ -1,11 +1,10 @@
-"""Heat and phase, coupled: fourth-order Runge-Kutta for the heat flow, an event loop for the grains.
+"""Heat and phase, coupled: fourth-order Runge-Kutta for the heat flow, the family's law for the film.
 
     tau dT1/dt = P - (T1 - T0)(1 + gamma s) - beta (T1 - T0) |T1 - T0|^(n-1) - tau L ds/dt
     tau2 dT2/dt = g P - T2,   T = T1 + T2
 
-with P the heat input in kelvin. The latent heat is not a derivative here but a Stefan problem: on heating the
-film stays at a grain's threshold until that grain has taken up its share of L, and gives it back on cooling.
-Every coefficient's neutral value (see `Terms`) leaves the plain first-order device.
+with P the heat input in kelvin. The latent heat is not a derivative here but shared out within each step by the law
+(`families.law.absorb`). Every coefficient's neutral value (see `Terms`) leaves the plain first-order device.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from vo2_models.numerics.kernel import kernel
 
 from vo2_studies.challenge.devices import ARRHENIUS, Device
-from vo2_studies.challenge.domains import Domains
+from vo2_studies.challenge.families.law import absorb, advance, settle
 
 __all__ = ["Terms", "run_core"]
 
@@ -61,67 +60,6 @@ class Terms(NamedTuple):
 
 
 @kernel
-def _set_level(level, state, place, up, up_grain, down, down_grain, weight, fraction):
-    """Move the grains' input to `level`; return the new transformed fraction.
-
-    `place[0]` counts the sorted `up` thresholds below the input, `place[1]` the `down` thresholds, so that a
-    move costs only the thresholds it crosses.
-    """
-    n = up.size
-    while place[0] < n and up[place[0]] <= level:
-        grain = up_grain[place[0]]
-        if state[grain] == 0:
-            state[grain] = 1
-            fraction += weight[grain]
-        place[0] += 1
-    while place[1] < n and down[place[1]] <= level:
-        place[1] += 1
-    while place[1] > 0 and down[place[1] - 1] > level:
-        grain = down_grain[place[1] - 1]
-        if state[grain] == 1:
-            state[grain] = 0
-            fraction -= weight[grain]
-        place[1] -= 1
-    while place[0] > 0 and up[place[0] - 1] > level:
-        place[0] -= 1
-    return fraction
-
-
-@kernel
-def _stefan(temperature, heat, shift, latent, state, place, up, up_grain, down, down_grain, weight, fraction):
-    """Add `heat` [K] to the film, grain by grain; return temperature, fraction and heat owed to the next step."""
-    before = fraction  # the shift may have moved since the last step: settle first
-    fraction = _set_level(temperature + shift, state, place, up, up_grain, down, down_grain, weight, fraction)
-    heat -= latent * (fraction - before)
-    n = up.size
-    while heat > 0 and place[0] < n and temperature + shift + heat >= up[place[0]]:
-        heat -= max(up[place[0]] - shift - temperature, 0.0)
-        temperature = max(up[place[0]] - shift, temperature)
-        grain = up_grain[place[0]]
-        place[0] += 1
-        if state[grain] == 0:
-            state[grain] = 1
-            fraction += weight[grain]
-            heat -= latent * weight[grain]
-            if heat <= 0:
-                return temperature, fraction, heat
-    while heat < 0 and place[1] > 0 and temperature + shift + heat < down[place[1] - 1]:
-        heat += max(temperature + shift - down[place[1] - 1], 0.0)
-        temperature = min(down[place[1] - 1] - shift, temperature)
-        grain = down_grain[place[1] - 1]
-        place[1] -= 1
-        if state[grain] == 1:
-            state[grain] = 0
-            fraction -= weight[grain]
-            heat += latent * weight[grain]
-            if heat >= 0:
-                return temperature, fraction, heat
-    temperature += heat
-    fraction = _set_level(temperature + shift, state, place, up, up_grain, down, down_grain, weight, fraction)
-    return temperature, fraction, 0.0
-
-
-@kernel
 def _rate(t1, power, ambient, tau, fraction, cooling_ratio, beta, exponent, gamma, tcr, squared, pump):
     """Return dT1/dt [K/s] without latent heat; `pump` is the Peltier's pumping times current [1]."""
     rise = t1 - ambient
@@ -134,30 +72,23 @@ def _rate(t1, power, ambient, tau, fraction, cooling_ratio, beta, exponent, gamm
 
 
 @kernel
-def _core(
-    current, ambient, local, step, tau, gain, squared, terms, film, start,
-    up_m, up_m_grain, down_m, down_m_grain, up_s, up_s_grain, down_s, down_s_grain, weight,
-):  # fmt: skip
+def _core(current, ambient, local, step, tau, gain, squared, terms, film, start, law_m, law_s, feedback):
     """Run the coupled part; see `run_core`."""
     n = current.size
     temperature = np.empty(n + 1)
     film_temperature = np.empty(n + 1)
     metal = np.empty(n + 1)
     structure = np.empty(n + 1)
-    state_m = np.zeros(weight.size, dtype=np.uint8)
-    state_s = np.zeros(weight.size, dtype=np.uint8)
-    place_m = np.zeros(2, dtype=np.int64)
-    place_s = np.zeros(2, dtype=np.int64)
-    fraction_m = _set_level(start, state_m, place_m, up_m, up_m_grain, down_m, down_m_grain, weight, 0.0)
-    fraction_s = _set_level(start, state_s, place_s, up_s, up_s_grain, down_s, down_s_grain, weight, 0.0)
-    slow_m, slow_s = fraction_m, fraction_s
+    memory_m = settle(law_m, start)
+    memory_s = settle(law_s, start)
+    slow_m, slow_s = memory_m[0], memory_s[0]
     t1, t2, owed = start, 0.0, 0.0
     extremum, direction, reversals = start, 1.0, 0.0
     kinetic = terms.kinetic_time > 0
     keep = np.exp(-step / terms.kinetic_time) if kinetic else 0.0
     temperature[0] = start
     film_temperature[0] = start + local[0] if n > 0 else start
-    metal[0], structure[0] = fraction_m, fraction_s
+    metal[0], structure[0] = slow_m, slow_s
     for k in range(n):
         i = current[k]
         power = gain * i * i if squared else gain * i + terms.joule * i * i
@@ -175,8 +106,9 @@ def _core(
         if terms.slow_gain != 0.0:
             fade = np.exp(-step / terms.slow_time)
             t2 = fade * t2 + (1 - fade) * terms.slow_gain * power
-        shift_m = t2 + local[k] - terms.training * reversals + terms.feedback * (slow_m - 0.5)
-        # Runge-Kutta does not see the grains stop the temperature within a step: shorter ones with latent heat
+        common = t2 + local[k] - terms.training * reversals
+        shift_m = common + feedback * (slow_m - 0.5)
+        # Runge-Kutta does not see the film stop the temperature within a step: shorter ones with latent heat
         inner = 4 if terms.latent != 0.0 and not kinetic else 1
         h = step / inner
         for _ in range(inner):
@@ -187,29 +119,18 @@ def _core(
             heat = h / 6 * (k1 + 2 * k2 + 2 * k3 + k4) + owed
             owed = 0.0
             if inner > 1:
-                t1, fraction_m, owed = _stefan(
-                    t1, heat, shift_m, terms.latent, state_m, place_m, up_m, up_m_grain, down_m, down_m_grain,
-                    weight, fraction_m,
-                )  # fmt: skip
+                t1, owed = absorb(law_m, memory_m, t1, shift_m, heat, terms.latent, h)
             else:
                 t1 += heat
-                fraction_m = _set_level(
-                    t1 + shift_m, state_m, place_m, up_m, up_m_grain, down_m, down_m_grain, weight, fraction_m
-                )
-        shift_s = (
-            t2 + local[k] - terms.training * reversals + terms.structure_offset
-            + terms.feedback * (slow_s - 0.5)
-        )  # fmt: skip
-        fraction_s = _set_level(
-            t1 + shift_s, state_s, place_s, up_s, up_s_grain, down_s, down_s_grain, weight, fraction_s
-        )
+                advance(law_m, memory_m, t1 + shift_m, h)
+        advance(law_s, memory_s, t1 + common + terms.structure_offset + feedback * (slow_s - 0.5), step)
         if kinetic:
-            new_m = fraction_m + keep * (slow_m - fraction_m)
+            new_m = memory_m[0] + keep * (slow_m - memory_m[0])
             t1 -= terms.latent * (new_m - slow_m)
             slow_m = new_m
-            slow_s = fraction_s + keep * (slow_s - fraction_s)
+            slow_s = memory_s[0] + keep * (slow_s - memory_s[0])
         else:
-            slow_m, slow_s = fraction_m, fraction_s
+            slow_m, slow_s = memory_m[0], memory_s[0]
         total = t1 + t2
         turned = (extremum - total) * direction
         if turned < 0:
@@ -224,19 +145,10 @@ def _core(
     return temperature, film_temperature, metal, structure, reversals
 
 
-def _sorted(domains: Domains) -> tuple[NDArray, ...]:
-    """Return thresholds in rising order and the grain of each, for both transitions."""
-    arrays: list[NDArray] = []
-    for thresholds in (domains.up_metal, domains.down_metal, domains.up_structure, domains.down_structure):
-        order = np.argsort(thresholds)
-        arrays += [thresholds[order], order]
-    return (*arrays, domains.weight)
-
-
 def run_core(
     device: Device, terms: Terms, *, current: Array, ambient: Array, local: Array, step: float
 ) -> tuple[Array, Array, Array, Array, int]:
-    """Run device temperature and phase from rest at ambient temperature, all grains cold.
+    """Run device temperature and phase from rest at ambient temperature, reached from the cold.
 
     Parameters
     ----------
@@ -253,7 +165,7 @@ def run_core(
     metal, structure : (n + 1,) transformed fractions [1]
     reversals : counted reversals of the temperature
     """
-    film = np.array(
+    electrical = np.array(
         [
             device.activation / ARRHENIUS,
             device.cold_temperature + 273.15,
@@ -263,8 +175,9 @@ def run_core(
             device.hot_temperature,
         ]
     )
+    film, terms = device.film, Terms(*map(float, terms))
     temperature, film_temperature, metal, structure, reversals = _core(
-        current, ambient, local, step, device.time_constant, device.gain, device.preset.squared,
-        Terms(*map(float, terms)), film, float(device.ambient), *_sorted(device.domains),
+        current, ambient, local, step, device.time_constant, device.gain, device.preset.squared, terms, electrical,
+        float(device.ambient), film.metal, film.structure, film.feedback + terms.feedback,
     )  # fmt: skip
     return temperature, film_temperature, metal, structure, int(reversals)

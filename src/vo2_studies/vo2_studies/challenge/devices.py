@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_studies.challenge.domains import Domains, draw_domains, major_loop
+from vo2_studies.challenge.families import Film, Statistics, draw_film, major_loop
 
 __all__ = ["PRESETS", "Device", "Preset", "draw_device", "log_resistance", "static_deflection"]
 
@@ -124,7 +124,7 @@ class Device:
     """
 
     preset: Preset
-    domains: Domains
+    film: Film
     ambient: float
     gain: float
     time_constant: float
@@ -174,23 +174,22 @@ def draw_device(rng: np.random.Generator, name: str, *, misfit: float = 0.1, fam
     def spread(value: float, share: float) -> float:
         return float(value * (1 + share * np.clip(rng.standard_normal(), -2, 2)))
 
-    domains = draw_domains(
-        rng,
+    statistics = Statistics(
         heating_mean=preset.heating[0] + np.clip(rng.standard_normal(), -2, 2),
         heating_sd=spread(preset.heating[1], 0.08),
         width_mean=spread(preset.width[0], 0.08),
         width_sd=spread(preset.width[1], 0.08),
         offset_mean=spread(preset.offset[0], 0.2),
         offset_sd=spread(preset.offset[1], 0.1),
-        misfit=misfit,
-        family=family,
+        time_constant=preset.time_constant,
     )
+    film = draw_film(rng, statistics, misfit=misfit, family=family)
     cold, hot = sorted(float(preset.steady_temperature(i)) for i in preset.operating)
     low, high = (spread(r, 0.03) for r in preset.resistance)
     expansion = rng.uniform(*preset.expansion)
     device = Device(
         preset=preset,
-        domains=domains,
+        film=film,
         ambient=preset.ambient + rng.uniform(-0.7, 0.7),
         gain=spread(preset.gain, 0.02),
         time_constant=spread(preset.time_constant, 0.08),
@@ -214,7 +213,7 @@ def _scaled(device: Device, span: float) -> Device:
     from dataclasses import replace
 
     temperature = np.linspace(device.cold_temperature, device.hot_temperature, 400)
-    _, _, up, down = major_loop(device.domains, temperature)
+    _, _, up, down = major_loop(device.film, temperature)
     strain = span
     for _ in range(30):  # the expansion takes a share that depends on the strain: fixed-point iteration
         trial = replace(device, strain=strain)

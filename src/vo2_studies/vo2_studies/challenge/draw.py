@@ -42,12 +42,13 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class CasePlan:
-    """What case `index` is about: kind, preset, effect ids."""
+    """What case `index` is about: kind, preset, effect ids, family of the hysteresis."""
 
     index: int
     kind: str
     device: str
     effects: tuple[str, ...]
+    family: str = "plays"
 
 
 @dataclass(frozen=True)
@@ -80,8 +81,9 @@ def plan_case(
     only_effects: Sequence[str] = (),
     device: str | None = None,
     kinds: Sequence[str] = (),
+    families: Sequence[str] = ("plays",),
 ) -> CasePlan:
-    """Return the plan of case `index`.
+    """Return the plan of case `index`; `families` are taken in turn, a shuffled deck at a time.
 
     With `only_effects` every case has one effect, of these; `device` restricts to one preset (an effect that does
     not apply to it is left out); `kinds` restricts the kinds, in the order of the contract's shares.
@@ -100,6 +102,7 @@ def plan_case(
     kind = cycle[index % len(cycle)]
     # how many of this kind came before: its turn in the deck
     number = index // len(cycle) * cycle.count(kind) + cycle[: index % len(cycle)].count(kind)
+    family = families[_turn(seed, 37, len(families), index)]
     rng = np.random.default_rng([seed, 11, index])
     presets = list(PRESETS) if device is None else [device]
 
@@ -110,28 +113,26 @@ def plan_case(
         return left
 
     if kind == "none":
-        return CasePlan(index, kind, presets[number % len(presets)], ())
+        return CasePlan(index, kind, presets[number % len(presets)], (), family)
     if kind == "two":
         name = presets[number % len(presets)]
         pool = [effect for effect in CATALOGUE if name in effect.presets]
         first = pool[_turn(seed, 13, len(pool), number // len(presets))]
         rivals = [e for e in pool if e is not first and not any({e.id, first.id} <= g for g in CONFUSABLE)]
-        return CasePlan(index, kind, name, (first.id, rivals[int(rng.integers(len(rivals)))].id))
+        return CasePlan(index, kind, name, (first.id, rivals[int(rng.integers(len(rivals)))].id), family)
     wanted = [find(name) for name in only_effects] if only_effects else CATALOGUE
     pool = usable(OUTSIDE if kind == "outside" else wanted)
     effect = pool[_turn(seed, 17 if kind == "one" else 19, len(pool), number)]
     where = [name for name in effect.presets if name in presets]
     deck = number // len(pool)
     start = int(np.random.default_rng([seed, 23, pool.index(effect)]).integers(len(where)))
-    return CasePlan(index, kind, where[(deck + start) % len(where)], (effect.id,))
+    return CasePlan(index, kind, where[(deck + start) % len(where)], (effect.id,), family)
 
 
-def _case_parts(
-    seed: int, plan: CasePlan, misfit: float, family: str
-) -> tuple[np.random.Generator, Device, Noise, bool]:
+def _case_parts(seed: int, plan: CasePlan, misfit: float) -> tuple[np.random.Generator, Device, Noise, bool]:
     """Return the case's randomness after drawing device, noise and whether the rig logs the true current."""
     rng = np.random.default_rng([seed, 29, plan.index])
-    device = draw_device(rng, plan.device, misfit=misfit, family=family)
+    device = draw_device(rng, plan.device, misfit=misfit, family=plan.family)
     noise = draw_rig_noise(rng, device)
     shunt = bool(rng.random() < 0.5) and not any(find(name).needs_set_value for name in plan.effects)
     return rng, device, noise, shunt
@@ -142,11 +143,10 @@ def draw_case(
     plan: CasePlan,
     *,
     misfit: float = 0.1,
-    family: str = "plays",
     excitation: str = "informative",
 ) -> Case:
     """Draw the case of `plan`: same arguments, same recordings bit for bit. `excitation` is one of `EXCITATIONS`."""
-    rng, device, noise, shunt = _case_parts(seed, plan, misfit, family)
+    rng, device, noise, shunt = _case_parts(seed, plan, misfit)
     preset = device.preset
     calibration = _record(
         device, simulate(device, calibration_current(rng, preset), Plan()), Plan(), noise, rng, shunt
@@ -174,7 +174,7 @@ def draw_case(
         "duration_s": context.duration,
         "logged_current": "shunt" if shunt else "set",
         "misfit": misfit,
-        "family": family,
+        "family": plan.family,
         "effects": [
             _effect_answer(effect, alone_excess, clean, alone, noise, shunt, context)
             for effect, (alone, alone_excess) in zip(drawn, each, strict=True)
@@ -193,13 +193,12 @@ def follow_up_recording(
     command: Array,
     *,
     misfit: float = 0.1,
-    family: str = "plays",
 ) -> Recording:
     """Return a recording of the same concealed device with the same effects, driven with `command` (n,) [A].
 
     This is what a user gets who plays the experiment that the diagnosis proposes.
     """
-    _, device, noise, shunt = _case_parts(seed, plan, misfit, family)
+    _, device, noise, shunt = _case_parts(seed, plan, misfit)
     rng = np.random.default_rng([seed, 31, plan.index])
     # drifts keep the pace that they had in the first recording
     context = Context(rng, device, answer["duration_s"])

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_studies.challenge.devices import Device
-from vo2_studies.challenge.domains import major_loop
 from vo2_studies.challenge.effect import ANY, ConcealedEffect, Context, either_sign, log_uniform
+from vo2_studies.challenge.families import major_loop
 from vo2_studies.challenge.filters import lag, log_relaxation, oscillator
 from vo2_studies.challenge.rig import Plan
 
@@ -35,7 +35,7 @@ def _draw_relaxation(c: Context) -> Draw:
 
 def _apply_reversible(plan: Plan, v: Values, c: Context) -> None:
     grid = np.linspace(c.device.ambient - 30, c.device.hot_temperature + 40, 2000)
-    up_m, down_m, up_s, down_s = major_loop(c.device.domains, grid)
+    up_m, down_m, up_s, down_s = major_loop(c.device.film, grid)
     share = v["reversible_share"]
 
     def mix(step: float, temperature: Array, metal: Array, structure: Array, device: Device):

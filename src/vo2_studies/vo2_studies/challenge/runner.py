@@ -38,6 +38,7 @@ class Settings:
     seed: int
     misfit: float = 0.1
     family: str = "plays"
+    leave_out: str = ""
     device: str | None = None
     only_effects: tuple[str, ...] = ()
     kinds: tuple[str, ...] = ()
@@ -45,7 +46,7 @@ class Settings:
 
     def case(self, plan: CasePlan) -> Case:
         """Draw the case of `plan`."""
-        return draw_case(self.seed, plan, misfit=self.misfit, family=self.family, excitation=self.excitation)
+        return draw_case(self.seed, plan, misfit=self.misfit, excitation=self.excitation)
 
 
 @dataclass(frozen=True)
@@ -188,7 +189,6 @@ class CaseRunner:
             answer,
             current,
             misfit=self.settings.misfit,
-            family=self.settings.family,
         )
         write_bag(folder / "follow_up", recording)
         command = [*self.diagnose, "--bag", "test", "--bag", "follow_up", "--model", "model.yaml"]

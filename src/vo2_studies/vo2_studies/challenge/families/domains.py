@@ -1,6 +1,6 @@
-"""The concealed device's hysteresis: thousands of relays (grains), each with its own two thresholds.
+"""Independent domains: thousands of relays (grains), each with its own two thresholds.
 
-Two families, both sums of relays, hence with the wiping-out property:
+Two kinds, both sums of relays, hence with the wiping-out property:
 
 `plays`: a generalised-play ensemble whose envelopes are not tanh but normal, Student or skew-normal distribution
 functions F (scaled to -1..1), unequal for heating and cooling. A play of radius r between envelopes 2 F - 1 is the
@@ -28,9 +28,11 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import owens_t
 
-__all__ = ["FAMILIES", "Domains", "draw_domains", "major_loop"]
+from vo2_studies.challenge.families.law import Film, Statistics
+from vo2_studies.challenge.families.relays import relays
 
-FAMILIES = ("plays", "clusters")
+__all__ = ["Grains", "draw", "draw_grains"]
+
 PLAYS = 24
 """Plays or clusters of one film."""
 GRAINS = 500
@@ -40,7 +42,7 @@ Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
-class Domains:
+class Grains:
     """Thresholds and weights of all grains, each (n,): two transitions, metallic and structural.
 
     Attributes
@@ -76,47 +78,32 @@ class _Shape:
         return np.asarray((np.interp(q, table, z) - mean) / np.sqrt(1 - mean**2))
 
 
-def draw_domains(
-    rng: np.random.Generator,
-    *,
-    heating_mean: float,
-    heating_sd: float,
-    width_mean: float,
-    width_sd: float,
-    offset_mean: float,
-    offset_sd: float,
-    misfit: float = 0.1,
-    family: str = "plays",
-) -> Domains:
-    """Draw one film.
+def draw(rng: np.random.Generator, film: Statistics, misfit: float, *, kind: str) -> Film:
+    """Draw a film of independent grains; `kind` is "plays" or "clusters"."""
+    grains = draw_grains(rng, film, misfit, kind)
+    return Film(
+        relays(grains.up_metal, grains.down_metal, grains.weight),
+        relays(grains.up_structure, grains.down_structure, grains.weight),
+    )
 
-    Parameters
-    ----------
-    rng : source of randomness
-    heating_mean, heating_sd : heating threshold over the material [degC, K]
-    width_mean, width_sd : loop width over the material [K]
-    offset_mean, offset_sd : structural minus metallic threshold over the material [K]
-    misfit : relative scatter of play radii and envelope slopes (or cluster widths and scales) [1], 0 to 0.3
-    family : "plays" or "clusters"
 
-    Raises
-    ------
-    ValueError : misfit outside 0 to 0.3, unknown family
+def draw_grains(rng: np.random.Generator, film: Statistics, misfit: float, kind: str) -> Grains:
+    """Draw the grains of one film.
+
+    `misfit` scatters play radii and envelope slopes (or cluster widths and scales) relatively [1].
     """
-    if not 0 <= misfit <= 0.3:
-        raise ValueError(f"misfit: found {misfit}, need 0 to 0.3")
-    if family not in FAMILIES:
-        raise ValueError(f"family: found {family!r}, need one of {', '.join(FAMILIES)}")
     shape = _Shape(
         str(rng.choice(["normal", "student", "skew"])), float(rng.uniform(0.7, 2.0) * rng.choice([-1, 1]))
     )
-    draw = _plays if family == "plays" else _clusters
-    up, down, weight = draw(rng, shape, heating_mean, heating_sd, width_mean, width_sd, misfit)
-    part = np.sqrt(0.3) * offset_sd * rng.standard_normal((PLAYS, 1))
+    parts = _plays if kind == "plays" else _clusters
+    up, down, weight = parts(
+        rng, shape, film.heating_mean, film.heating_sd, film.width_mean, film.width_sd, misfit
+    )
+    part = np.sqrt(0.3) * film.offset_sd * rng.standard_normal((PLAYS, 1))
     place = np.stack([rng.permutation(GRAINS) for _ in range(PLAYS)])
-    within = np.sqrt(0.7) * offset_sd * stats.norm.ppf((place + 0.5) / GRAINS)
-    offset = offset_mean + part + within
-    return Domains(up.ravel(), down.ravel(), (up + offset).ravel(), (down + offset).ravel(), weight.ravel())
+    within = np.sqrt(0.7) * film.offset_sd * stats.norm.ppf((place + 0.5) / GRAINS)
+    offset = film.offset_mean + part + within
+    return Grains(up.ravel(), down.ravel(), (up + offset).ravel(), (down + offset).ravel(), weight.ravel())
 
 
 def _moments(values: Array, weight: Array) -> tuple[float, float]:
@@ -182,19 +169,3 @@ def _clusters(
     grain_width = np.maximum(width[:, None] * (1 + growth[:, None] * (2 * q - 1)), 0.3)
     weight = np.repeat(share / GRAINS, GRAINS).reshape(PLAYS, GRAINS)
     return centre + grain_width / 2, centre - grain_width / 2, weight
-
-
-def major_loop(domains: Domains, temperature_degC: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the major loop's fractions at `temperature_degC` (n,): metal up, metal down, structure up and down."""
-
-    def share(thresholds: Array) -> Array:
-        order = np.argsort(thresholds)
-        total = np.concatenate([[0.0], np.cumsum(domains.weight[order])])
-        return np.asarray(total[np.searchsorted(thresholds[order], temperature_degC, side="right")])
-
-    return (
-        share(domains.up_metal),
-        share(domains.down_metal),
-        share(domains.up_structure),
-        share(domains.down_structure),
-    )
