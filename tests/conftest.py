@@ -11,7 +11,7 @@ from vo2_interface.testing import free_domain, hear_ctrl_c
 from vo2_models.device import truth
 from vo2_models.identification.excitation import damped_oscillation
 from vo2_models.model_file import save_model_parameters
-from vo2_models.self_sensing import identify
+from vo2_models.workflow import fit
 from vo2_studies.demo.conductor import Conductor
 from vo2_studies.demo.graph import Graph
 
@@ -44,5 +44,5 @@ def model_file(tmp_path_factory) -> Path:
     share = damped_oscillation(np.linspace(0.0, 1.0, 21))
     recording = truth("integrated", seed=1).simulate(np.repeat(3.68e-3 + 4.81e-3 * share, 10), seed=1)
     path = tmp_path_factory.mktemp("model") / "model.yaml"
-    save_model_parameters(path, identify(recording, "integrated"))
+    save_model_parameters(path, fit(recording, "integrated"))
     return path

@@ -11,12 +11,12 @@ import pytest
 from vo2_identification.bags import read_recording, write_bag
 from vo2_identification.diagnose.command import continue_with_next, main
 from vo2_identification.diagnose.play import play, playable_levels
-from vo2_identification.fit import model_of
 from vo2_models.device import preset, surrogate_of_temperature, truth
 from vo2_models.diagnosis import validate
 from vo2_models.diagnosis.next_experiment import Excitable
 from vo2_models.diagnosis.result import NextExperiment
 from vo2_models.identification.excitation import Excitation, damped_oscillation
+from vo2_models.identification.model_fit import fit_model
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 DEVICE, SEED, DT = "integrated", 11, 1e-3
@@ -48,7 +48,7 @@ def test_the_experiment_is_played_as_designed_and_diagnosed_with_the_first_recor
     graph, conductor, tmp_path, capfd
 ):
     graph.start("plant", parameters={"preset": DEVICE, "seed": SEED, "effects": json.dumps(CREEP)})
-    _, model = model_of([quasi_static({}, turns=21, seconds=4.0, seed=1)], DEVICE, plays=6)
+    _, model = fit_model([quasi_static({}, turns=21, seconds=4.0, seed=1)], DEVICE, plays=6)
     conductor.wait_for_nodes(["/vo2/plant"])
     bag, output = tmp_path / "first", tmp_path / "diagnosis"
     write_bag(bag, quasi_static(CREEP, turns=3, seconds=1.0, seed=2))

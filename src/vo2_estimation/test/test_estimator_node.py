@@ -133,7 +133,7 @@ def dynamic(frequency):
     """A model with a composite law and a mode of this frequency, 0 for none."""
     from vo2_models.device import truth
     from vo2_models.identification.excitation import damped_oscillation
-    from vo2_models.self_sensing import identify
+    from vo2_models.workflow import fit
 
     share = damped_oscillation(np.linspace(0.0, 1.0, 13))
     recording = truth("integrated", seed=1, domains=1500).simulate(
@@ -141,7 +141,7 @@ def dynamic(frequency):
     )
     mode = {"frequency": frequency, "damping": 0.02, "share": 1.0, "sample_period": 1e-3}
     return {
-        **identify(recording, "integrated"),
+        **fit(recording, "integrated"),
         **{f"model.self_sensing.mode.{name}": value if frequency else 0.0 for name, value in mode.items()},
     }
 

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from vo2_identification.fit import model_of
 from vo2_models.device.model import DeviceModel, SensorModel
 from vo2_models.identification.calibration_check import check_calibration, judge_fit
 from vo2_models.identification.device_fit import FitResult
+from vo2_models.identification.model_fit import fit_model
 from vo2_models.identification.plausibility import impossible, unusual
 from vo2_models.recording import (
     HEATER_CURRENT,
@@ -144,4 +144,4 @@ def test_noise_is_not_made_a_model_of(recording):
     noise = np.random.default_rng(3).standard_normal((2, COUNT))
     nothing = {RESISTANCE: 1e5 * np.exp(0.3 * noise[0]), TIP_DEFLECTION: 3e-5 + 1e-5 * noise[1]}
     with pytest.raises(ValueError, match="does not follow this current in a loop"):
-        model_of([with_channel(recording, **nothing)], "integrated", plays=2)
+        fit_model([with_channel(recording, **nothing)], "integrated", plays=2)

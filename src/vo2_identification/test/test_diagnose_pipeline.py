@@ -8,7 +8,6 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 from vo2_identification.bags import write_bag
 from vo2_identification.diagnose import main
-from vo2_identification.fit import model_of
 from vo2_models.device import DeviceModel, preset, surrogate_of_temperature, truth
 from vo2_models.diagnosis import diagnose, study, validate
 from vo2_models.diagnosis.assemble_diagnosis import assemble_diagnosis
@@ -19,6 +18,7 @@ from vo2_models.diagnosis.part import prepare
 from vo2_models.diagnosis.pipeline import _worsens
 from vo2_models.diagnosis.problem import linearise_problem
 from vo2_models.identification.excitation import Excitation, composite_recording, damped_oscillation
+from vo2_models.identification.model_fit import fit_model
 from vo2_models.model_file import load_model_parameters, save_model_parameters
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
@@ -54,7 +54,7 @@ def calibrated(device_seed=SEED, device=DEVICE, read=measured):
     sweep = Excitation.at_rate(levels, rate_per_s=rate).sample(nominal.sample_period)
     current = surrogate_of_temperature(device, sweep)
     calibration = truth(device, seed=device_seed).simulate(current, seed=1)
-    _, found = model_of([read(calibration)], device, plays=12)
+    _, found = fit_model([read(calibration)], device, plays=12)
     return found
 
 

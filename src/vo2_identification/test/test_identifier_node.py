@@ -8,7 +8,6 @@ from vo2_identification.excitation_plan import (
     excitation_currents,
     informative_excitation,
 )
-from vo2_identification.fit import model_of
 from vo2_identification.identifier_node import IdentifierNode
 from vo2_interface.model import operating_point
 from vo2_interface.parameters import ParameterTable
@@ -16,6 +15,7 @@ from vo2_interface.testing import bench
 from vo2_models.device import truth
 from vo2_models.identification.digest import DIGEST_PARAMETERS
 from vo2_models.identification.excitation import damped_oscillation
+from vo2_models.identification.model_fit import fit_model
 from vo2_models.model_file import load_model_parameters, save_model_parameters
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
@@ -207,7 +207,7 @@ def model_file(tmp_path_factory):
     names = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)
     recording = Recording(excited.time_s, {name: excited[name] for name in names}, "integrated")
     path = tmp_path_factory.mktemp("model") / "model.yaml"
-    save_model_parameters(path, model_of([recording], "integrated", plays=12)[1])
+    save_model_parameters(path, fit_model([recording], "integrated", plays=12)[1])
     return path
 
 

@@ -6,23 +6,16 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-    from vo2_models.device import DeviceModel
     from vo2_models.identification.device_fit import FitResult
-    from vo2_models.parameters import Value
 
-    Floats = NDArray[np.float64]
-
-__all__ = ["main", "model_of"]
+__all__ = ["main"]
 
 _DESCRIPTION = """
 Fit driver, thermal model, resistance, deflection and sensors of a device to one or more bags of a quasi-static recording
@@ -48,6 +41,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     from vo2_models.device.description import preset
+    from vo2_models.identification.model_fit import fit_model
     from vo2_models.model_file import save_model_parameters
 
     from vo2_identification.bags import read_recording
@@ -64,11 +58,11 @@ def _run(options: argparse.Namespace) -> int:
                 print(f"fit: {bag}: {problem}", file=sys.stderr)
             recordings.append(_of_device(recording, options.device, bag))
         names = [str(bag) for bag in options.bag]
-        result, parameters = model_of(
+        result, parameters = fit_model(
             recordings,
             options.device,
             plays=options.plays,
-            quiet=options.quiet,
+            progress=_quiet if options.quiet else _progress(begun),
             names=names,
             self_sensing=not options.simulation_only,
         )
@@ -83,133 +77,19 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def model_of(
-    recordings: Sequence[Recording],
-    device: str,
-    *,
-    plays: int,
-    quiet: bool = True,
-    names: Sequence[str] = (),
-    self_sensing: bool = True,
-) -> tuple[FitResult, dict[str, Value]]:
-    """Fit a device and what builds on it; return the fit and all flat `model.*` parameters.
-
-    Parameters
-    ----------
-    recordings : calibration recordings of one device
-    device : preset id
-    plays : plays of each channel's loop
-    quiet : whether to leave out the progress on standard error
-    names : of the recordings, for the messages
-    self_sensing : whether to fit the laws of self-sensing too, which `estimator` needs and `diagnose` does not
-
-    Raises
-    ------
-    ValueError : recordings that cannot be fitted; the message says why.
-    """
-    from vo2_models.identification.calibration_check import check_calibration, judge_fit
-    from vo2_models.identification.device_fit import fit_device
-    from vo2_models.self_sensing.characterise import characterise
-
-    began = time.monotonic()
-
-    def progress(text: str, share: float) -> None:
-        if not quiet:
-            took = time.monotonic() - began
-            rest = f", about {took * (1 - share) / share:.0f} s left" if share > 0.05 else ""
-            print(f"fit: {100 * share:3.0f} %  {text}{rest}", file=sys.stderr)
-
-    recordings, notes = check_calibration(recordings, device, names=names)
-    result = fit_device(recordings, device, plays=plays, progress=progress)
-    result = replace(result, notes=(*notes, *result.notes, *judge_fit(result, recordings)))
-    parameters = result.model.to_parameters()
-    both = [r for r in recordings if RESISTANCE in r and TIP_DEFLECTION in r]
-    if both:
-        if self_sensing:
-            progress("self-sensing", 0.95)
-            parameters |= characterise(max(both, key=len), parameters)
-        parameters |= _digest(result, recordings[0], both[0] is recordings[0])
-    return result, parameters
+def _quiet(text: str, share: float) -> None:
+    """Say nothing."""
 
 
-def _digest(result: FitResult, recording: Recording, first: bool) -> dict[str, Value]:
-    """What the loops left over along the first recording, for a later diagnosis; nothing where it has no cold start."""
-    import numpy as np
-    from vo2_models.diagnosis.reading import current_reading
-    from vo2_models.identification.digest import digest_of
-    from vo2_models.identification.enrichment import EnrichmentBasis
+def _progress(began: float) -> Callable[[str, float], None]:
+    """Return what prints the progress of a fit that began then, with the time that is left."""
 
-    stop = result.ends[0]
-    path, gap, tip = (
-        values[1:stop]
-        for values in (result.path, result.residuals[RESISTANCE], result.residuals[TIP_DEFLECTION])
-    )
-    if not first or result.settled or path.size < 100:
-        return {}
-    basis = EnrichmentBasis()
-    reach = basis.half_width_k
-    inside = (basis.centre_degc[0] - reach, basis.centre_degc[1] + reach)
-    # the model's y is -log10 R
-    short = digest_of(path, -gap, tip, inside_degc=inside)
-    stage = result.residuals.get(STAGE_TEMPERATURE)
-    reading, noise = current_reading(recording)
-    return replace(
-        short,
-        current_reading=reading,
-        noise_current=noise,
-        noise_log_resistance=_noise(path, gap, result, RESISTANCE),
-        noise_deflection=_noise(path, tip, result, TIP_DEFLECTION),
-        noise_stage=() if stage is None else _noise(path, stage[1:stop], result, STAGE_TEMPERATURE),
-        by_lag={
-            name: np.column_stack([means.log_resistance, means.deflection])
-            for name, columns in _by_lag(result.model, recording).items()
-            for means in [digest_of(path, *columns, inside_degc=inside)]
-        },
-    ).to_parameters()
+    def say(text: str, share: float) -> None:
+        took = time.monotonic() - began
+        rest = f", about {took * (1 - share) / share:.0f} s left" if share > 0.05 else ""
+        print(f"fit: {100 * share:3.0f} %  {text}{rest}", file=sys.stderr)
 
-
-def _by_lag(model: DeviceModel, recording: Recording) -> dict[str, tuple[Floats, Floats]]:
-    """Change of log10 R and of the deflection along a recording by each lag of the model, per second, the loops held."""
-    import numpy as np
-    from vo2_models.identification.digest import LAGS
-    from vo2_models.identification.grid import on_grid
-
-    grid = on_grid(recording)
-    step = 0.01 * model.scalars["thermal.time_constant"]
-
-    def simulated(scalars: Mapping[str, float]) -> tuple[Floats, Floats]:
-        out = replace(model, scalars=dict(scalars)).simulation.run(grid.current, dt=grid.dt)
-        return np.log10(out[:, 1]), out[:, 2]
-
-    before = simulated(model.scalars)
-    found = {}
-    for name in LAGS:
-        after = simulated({**model.scalars, name: model.scalars[name] + step})
-        found[name] = ((after[0] - before[0]) / step, (after[1] - before[1]) / step)
-    return found
-
-
-def _noise(path: Floats, residual: Floats, result: FitResult, channel: str) -> tuple[float, ...]:
-    """Innovation and colour of a channel's noise: of what even a richer loop shape leaves of the residual."""
-    import numpy as np
-    from vo2_models.diagnosis.noise import fit_noise
-    from vo2_models.diagnosis.nominal import basis_of, span_of
-
-    device = result.model.device
-    good = np.isfinite(residual)
-    if np.count_nonzero(good) < 100:
-        return ()
-    left = np.where(good, residual, 0.0)
-    sensor = result.model.sensors.get(channel)
-    level = sensor.noise / (np.log(10.0) if channel == RESISTANCE else 1.0) if sensor else 0.0
-    if channel != STAGE_TEMPERATURE and level > 0.0:
-        features = basis_of(device).features(path, span=span_of(device)[channel])
-        used = features[good] / level
-        gram = used.T @ used
-        gram[np.diag_indices_from(gram)] += 1.0
-        left[good] -= level * (used @ np.linalg.solve(gram, used.T @ (left[good] / level)))
-    found = fit_noise(left, good)
-    return found.innovation, *found.ar
+    return say
 
 
 def _of_device(recording: Recording, device: str, bag: Path) -> Recording:

@@ -306,10 +306,9 @@ class IdentifierNode(Node):
 
                 return fit_drive(recording, drive, hold_out=hold_out, plays=plays, per_play=per_play)  # type: ignore[arg-type]
             from vo2_models.identification.device_fit import PLAYS
+            from vo2_models.identification.model_fit import fit_model
 
-            from vo2_identification.fit import model_of
-
-            return model_of([recording], preset, plays=PLAYS)[1]
+            return fit_model([recording], preset, plays=PLAYS)[1]
 
         return fit
 

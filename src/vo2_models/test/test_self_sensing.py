@@ -15,13 +15,13 @@ from vo2_models.self_sensing import (
     PARAMETERS,
     PolynomialSelfSensing,
     characterise,
-    identify,
     self_sensing,
 )
 from vo2_models.self_sensing.bounds import COVERAGE, fit_bound, table_at
 from vo2_models.self_sensing.composite_fit import PLAYS as PLAYS_OWN
 from vo2_models.self_sensing.composite_fit import composite_parameters
 from vo2_models.self_sensing.polynomial import polynomial_step
+from vo2_models.workflow import fit
 
 PLAYS = np.array([0.05, 0.3, 0.6])
 
@@ -188,7 +188,7 @@ def test_identified_from_a_recording_it_estimates_an_independent_sequence(seed):
     recorded = device.simulate(identification_current(), seed=seed)
     names = ("heater_current", RESISTANCE, TIP_DEFLECTION)
     given = Recording(recorded.time_s, {name: recorded[name] for name in names}, "integrated")
-    parameters = identify(given, "integrated")
+    parameters = fit(given, "integrated")
     sequence = np.repeat(random_levels(3.68e-3, 8.49e-3, 200, seed=seed), 10)
     test = device.simulate(np.concatenate([np.full(30, 3.68e-3), sequence]), seed=seed + 1)
     error = {}
@@ -212,7 +212,7 @@ def test_together_the_composite_and_the_direct_scheme_err_less_on_a_slow_cycle()
         recorded = device.simulate(identification_current(), seed=seed)
         names = ("heater_current", RESISTANCE, TIP_DEFLECTION)
         given = Recording(recorded.time_s, {name: recorded[name] for name in names}, "integrated")
-        parameters = identify(given, "integrated")
+        parameters = fit(given, "integrated")
         test = device.simulate(np.concatenate([np.full(30, 3.68e-3), cycle]), seed=seed + 1)
         for kind, found in error.items():
             estimate, _ = self_sensing(kind, parameters).estimate(test[RESISTANCE])
@@ -226,7 +226,7 @@ def test_identification_uses_the_channels_there_are():
     film = Recording(
         recorded.time_s, {name: recorded[name] for name in ("heater_current", RESISTANCE)}, "integrated"
     )
-    parameters = identify(film, "integrated")
+    parameters = fit(film, "integrated")
     assert parameters["model.resistance.weights"]
     assert not any(name.startswith(("model.deflection", "model.self_sensing")) for name in parameters)
 
@@ -237,7 +237,7 @@ def test_laws_of_its_own_make_the_composite_scheme_better_between_the_levels_of_
     recorded = device.simulate(identification_current(), seed=5)
     names = ("heater_current", RESISTANCE, TIP_DEFLECTION)
     given = Recording(recorded.time_s, {name: recorded[name] for name in names}, "integrated")
-    parameters = identify(given, "integrated")
+    parameters = fit(given, "integrated")
     assert len(parameters["model.self_sensing.composite.deflection.weights"]) == PLAYS_OWN
     own = {name: v for name, v in parameters.items() if not name.startswith("model.self_sensing.composite")}
     inside = np.repeat(random_levels(5.6e-3, 6.6e-3, 200, seed=1), 10)
@@ -255,7 +255,7 @@ def test_a_law_given_by_hand_and_a_recording_too_short_keep_the_laws_of_the_mode
     banks = ("resistance.weights", "deflection.weights")
     by_hand = composite_parameters(recorded, laws())
     assert all(by_hand[f"model.self_sensing.composite.{name}"] == [] for name in banks)
-    fitted = identify(recorded, "integrated")
+    fitted = fit(recorded, "integrated")
     short = Recording(recorded.time_s[:300], {k: v[:300] for k, v in recorded.channels.items()}, "integrated")
     kept = composite_parameters(short, fitted)
     assert all(kept[f"model.self_sensing.composite.{name}"] == [] for name in banks)

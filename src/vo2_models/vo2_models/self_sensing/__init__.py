@@ -21,7 +21,6 @@ _HOME = {
     "PolynomialSelfSensing": "polynomial",
     "DynamicSelfSensing": "dynamic",
     "characterise": "characterise",
-    "identify": "identification",
 }
 __all__ = sorted(_HOME)
 

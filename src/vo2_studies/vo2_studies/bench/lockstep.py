@@ -20,7 +20,7 @@ from rclpy.executors import Executor
 from vo2_models.device import truth
 from vo2_models.identification.excitation import damped_oscillation
 from vo2_models.model_file import save_model_parameters
-from vo2_models.self_sensing import identify
+from vo2_models.workflow import fit
 
 from vo2_studies.bench.entry import Entry, Figure
 
@@ -160,7 +160,7 @@ def save_small_model(path: Path) -> None:
     """Identify device 1 from a short damped oscillation and save its model."""
     share = damped_oscillation(np.linspace(0.0, 1.0, 21))
     recording = truth("integrated", seed=1).simulate(np.repeat(3.68e-3 + 4.81e-3 * share, 10), seed=1)
-    save_model_parameters(path, identify(recording, "integrated"))
+    save_model_parameters(path, fit(recording, "integrated"))
 
 
 def lockstep_rate() -> float:

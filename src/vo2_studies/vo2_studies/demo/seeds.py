@@ -21,7 +21,8 @@ from vo2_models.device.description import preset
 from vo2_models.device.simulation import TRUE_DEFLECTION
 from vo2_models.identification.excitation import damped_oscillation, random_levels
 from vo2_models.recording import RESISTANCE, Recording
-from vo2_models.self_sensing import identify, self_sensing
+from vo2_models.self_sensing import self_sensing
+from vo2_models.workflow import fit
 
 from vo2_studies.demo.errors import LEAD_SHARE
 
@@ -42,7 +43,7 @@ def device_errors(device_id: str, seed: int) -> dict[str, dict[str, float]]:
     excited = device.simulate(np.repeat(levels, _HOLD), seed=seed + 1)
     # what a rig delivers, no more
     names = [*nominal.channels, "commanded_current"]
-    model = identify(Recording(excited.time_s, {n: excited[n] for n in names}, device_id), device_id)
+    model = fit(Recording(excited.time_s, {n: excited[n] for n in names}, device_id), device_id)
     random = np.repeat(random_levels(point.lower_a, point.upper_a, 400, seed=seed), _HOLD)
     played = device.simulate(random, seed=seed + 2)
     # `run_loop` leaves the controller's memory as it is: one design serves all experiments

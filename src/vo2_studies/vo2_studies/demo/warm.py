@@ -11,13 +11,13 @@ from vo2_control.closed_loop import run_loop
 from vo2_control.designs import current_limits
 from vo2_control.model_tuning import tuned_from_model
 from vo2_control.pid import pid_controller
-from vo2_identification.fit import model_of
 from vo2_models.device import truth
 from vo2_models.device.description import preset
 from vo2_models.diagnosis.locate import turning_points
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.nuisance import loop_shapes
 from vo2_models.identification.excitation import damped_oscillation
+from vo2_models.identification.model_fit import fit_model
 from vo2_models.recording import RESISTANCE
 from vo2_models.self_sensing import KINDS, self_sensing
 
@@ -33,7 +33,7 @@ def main() -> int:
     stepper = device.stepper(seed=1)
     stepper.step(0.0)
     recording = device.simulate(current, seed=1)
-    _, model = model_of([recording], "integrated", plays=6)
+    _, model = fit_model([recording], "integrated", plays=6)
     for kind in KINDS:
         self_sensing(kind, model).estimate(recording[RESISTANCE][:10])
     period, limits = preset("integrated").sample_period, current_limits("integrated", model)

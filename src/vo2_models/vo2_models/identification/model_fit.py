@@ -1,0 +1,136 @@
+"""From calibration recordings to the whole model file: simulation, self-sensing, and what a later diagnosis needs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.device.model import DeviceModel
+from vo2_models.diagnosis.noise import fit_noise
+from vo2_models.diagnosis.nominal import basis_of, span_of
+from vo2_models.diagnosis.reading import current_reading
+from vo2_models.identification.calibration_check import check_calibration, judge_fit
+from vo2_models.identification.device_fit import PLAYS, FitResult, fit_device
+from vo2_models.identification.digest import LAGS, digest_of
+from vo2_models.identification.enrichment import EnrichmentBasis
+from vo2_models.identification.grid import on_grid
+from vo2_models.parameters import Value
+from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
+from vo2_models.self_sensing.characterise import characterise
+
+__all__ = ["fit_model"]
+
+Floats = NDArray[np.float64]
+
+
+def fit_model(
+    recordings: Sequence[Recording],
+    device: str,
+    *,
+    plays: int = PLAYS,
+    progress: Callable[[str, float], None] | None = None,
+    names: Sequence[str] = (),
+    self_sensing: bool = True,
+) -> tuple[FitResult, dict[str, Value]]:
+    """Fit a device and what builds on it.
+
+    Parameters
+    ----------
+    recordings : calibration recordings of one device
+    device : preset id
+    plays : plays of each channel's loop
+    progress : called with what is being done and the share done, 0 to 1
+    names : of the recordings, for the messages
+    self_sensing : whether to fit the laws of self-sensing too, which `estimator` needs and `diagnose` does not
+
+    Returns
+    -------
+    FitResult : the fit of the simulation, with its residuals and notes
+    dict : all flat `model.*` parameters, as `save_model_parameters` writes them
+
+    Raises
+    ------
+    ValueError : recordings that cannot be fitted; the message says why.
+    """
+    recordings, notes = check_calibration(recordings, device, names=names)
+    result = fit_device(recordings, device, plays=plays, progress=progress)
+    result = replace(result, notes=(*notes, *result.notes, *judge_fit(result, recordings)))
+    parameters = result.model.to_parameters()
+    both = [r for r in recordings if RESISTANCE in r and TIP_DEFLECTION in r]
+    if both:
+        if self_sensing:
+            if progress:
+                progress("self-sensing", 0.95)
+            parameters |= characterise(max(both, key=len), parameters)
+        parameters |= _digest(result, recordings[0], both[0] is recordings[0])
+    return result, parameters
+
+
+def _digest(result: FitResult, recording: Recording, first: bool) -> dict[str, Value]:
+    """What the loops left over along the first recording, for a later diagnosis; nothing where it has no cold start."""
+    stop = result.ends[0]
+    path, gap, tip = (
+        values[1:stop]
+        for values in (result.path, result.residuals[RESISTANCE], result.residuals[TIP_DEFLECTION])
+    )
+    if not first or result.settled or path.size < 100:
+        return {}
+    basis = EnrichmentBasis()
+    reach = basis.half_width_k
+    inside = (basis.centre_degc[0] - reach, basis.centre_degc[1] + reach)
+    # the model's y is -log10 R
+    short = digest_of(path, -gap, tip, inside_degc=inside)
+    stage = result.residuals.get(STAGE_TEMPERATURE)
+    reading, noise = current_reading(recording)
+    return replace(
+        short,
+        current_reading=reading,
+        noise_current=noise,
+        noise_log_resistance=_noise(path, gap, result, RESISTANCE),
+        noise_deflection=_noise(path, tip, result, TIP_DEFLECTION),
+        noise_stage=() if stage is None else _noise(path, stage[1:stop], result, STAGE_TEMPERATURE),
+        by_lag={
+            name: np.column_stack([means.log_resistance, means.deflection])
+            for name, columns in _by_lag(result.model, recording).items()
+            for means in [digest_of(path, *columns, inside_degc=inside)]
+        },
+    ).to_parameters()
+
+
+def _by_lag(model: DeviceModel, recording: Recording) -> dict[str, tuple[Floats, Floats]]:
+    """Change of log10 R and of the deflection along a recording by each lag of the model, per second, the loops held."""
+    grid = on_grid(recording)
+    step = 0.01 * model.scalars["thermal.time_constant"]
+
+    def simulated(scalars: Mapping[str, float]) -> tuple[Floats, Floats]:
+        out = replace(model, scalars=dict(scalars)).simulation.run(grid.current, dt=grid.dt)
+        return np.log10(out[:, 1]), out[:, 2]
+
+    before = simulated(model.scalars)
+    found = {}
+    for name in LAGS:
+        after = simulated({**model.scalars, name: model.scalars[name] + step})
+        found[name] = ((after[0] - before[0]) / step, (after[1] - before[1]) / step)
+    return found
+
+
+def _noise(path: Floats, residual: Floats, result: FitResult, channel: str) -> tuple[float, ...]:
+    """Innovation and colour of a channel's noise: of what even a richer loop shape leaves of the residual."""
+    device = result.model.device
+    good = np.isfinite(residual)
+    if np.count_nonzero(good) < 100:
+        return ()
+    left = np.where(good, residual, 0.0)
+    sensor = result.model.sensors.get(channel)
+    level = sensor.noise / (np.log(10.0) if channel == RESISTANCE else 1.0) if sensor else 0.0
+    if channel != STAGE_TEMPERATURE and level > 0.0:
+        features = basis_of(device).features(path, span=span_of(device)[channel])
+        used = features[good] / level
+        gram = used.T @ used
+        gram[np.diag_indices_from(gram)] += 1.0
+        left[good] -= level * (used @ np.linalg.solve(gram, used.T @ (left[good] / level)))
+    found = fit_noise(left, good)
+    return found.innovation, *found.ar

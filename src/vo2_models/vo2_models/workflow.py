@@ -1,0 +1,114 @@
+"""The four things that are done with a device: simulate it, fit it, estimate from its resistance, diagnose it.
+
+A model is a mapping of flat `model.*` parameters throughout, as `load_model_parameters` reads them from a file. `diagnose`
+itself is `vo2_models.diagnosis.diagnose`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+
+from numpy.typing import ArrayLike
+
+from vo2_models.device.ground_truth import truth
+from vo2_models.device.model import DeviceModel
+from vo2_models.identification.model_fit import fit_model
+from vo2_models.parameters import Value
+from vo2_models.recording import Recording
+from vo2_models.self_sensing.scheme import Estimate, self_sensing
+
+__all__ = ["estimate", "fit", "simulate"]
+
+
+def simulate(
+    device: str | Mapping[str, Value],
+    current: ArrayLike,
+    *,
+    dt: float | None = None,
+    seed: int = 0,
+    noise: bool = True,
+    effects: Mapping[str, Mapping[str, float | str]] | None = None,
+) -> Recording:
+    """Run a device on a current, from its long cold rest.
+
+    Parameters
+    ----------
+    device : preset, for the nominal device of thousands of switching domains; or a fitted model
+    current : (n,) commanded current [A]; element k flows during the interval that ends at sample k
+    dt : sample period [s], None for the preset's
+    seed : of the measurement noise
+    noise : whether the sensors add noise
+    effects : physics beyond the nominal device, `{id: {parameter: value}}`
+
+    Returns
+    -------
+    Recording : the device's channels in SI units, the command, and the true values under names that start with `true_`
+
+    Raises
+    ------
+    ValueError : unknown preset or effect, a value out of its range, a current that is not finite.
+
+    Examples
+    --------
+    >>> recording = simulate("integrated", [4e-3, 6e-3, 8e-3])
+    >>> len(recording), "film_resistance" in recording
+    (3, True)
+    """
+    if isinstance(device, str):
+        simulation = truth(device).with_effects(effects or {})
+    else:
+        simulation = DeviceModel.from_parameters(device).simulation.with_effects(effects or {})
+    return simulation.simulate(current, dt=dt, seed=seed, noise=noise)
+
+
+def fit(
+    recordings: Recording | Sequence[Recording],
+    device: str,
+    *,
+    progress: Callable[[str, float], None] | None = None,
+) -> dict[str, Value]:
+    """Fit simulation and self-sensing of a device to calibration recordings.
+
+    What the recordings did not allow is told as a `UserWarning`, one sentence each. `identification.model_fit.fit_model`
+    returns residuals and uncertainties as well.
+
+    Parameters
+    ----------
+    recordings : of one device, each from a cold rest or settled at its first current
+    device : preset that the device is like
+    progress : called with what is being done and the share done, 0 to 1
+
+    Returns
+    -------
+    dict : flat `model.*` parameters, for `save_model_parameters`, `simulate`, `estimate` and `diagnose`
+
+    Raises
+    ------
+    ValueError : recordings that cannot be fitted; the message says why.
+    """
+    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    result, parameters = fit_model(given, device, progress=progress)
+    for note in result.notes:
+        warnings.warn(note, UserWarning, stacklevel=2)
+    return parameters
+
+
+def estimate(model: Mapping[str, Value], resistance: ArrayLike, *, scheme: str = "composite") -> Estimate:
+    """Estimate the deflection from the resistance, sample by sample from the cold.
+
+    Parameters
+    ----------
+    model : from `fit`
+    resistance : (n,) film resistance [ohm]
+    scheme : one of `vo2_models.self_sensing.KINDS`
+
+    Returns
+    -------
+    Estimate : arrays (n,): deflection and its error bound [m], temperature [degC], temperature surrogate [A]
+
+    Raises
+    ------
+    ValueError : unknown scheme, a model without self-sensing, a resistance that is not above 0.
+    """
+    return self_sensing(scheme, model).estimate(resistance)[0]
