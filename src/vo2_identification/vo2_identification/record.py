@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import gc
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -55,20 +54,16 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) -> int:
-    import rclpy
-    from rclpy.signals import SignalHandlerOptions
-    from vo2_interface.executable import StopFlag, fastest_executor, leave_graph
-    from vo2_interface.one_host import FASTDDS_PROFILE
+    from vo2_interface.executable import StopFlag, fastest_executor, join_graph, leave_graph
 
     from vo2_identification.recorder_node import Recorder, contract_topics
 
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(FASTDDS_PROFILE))  # long queues: nothing lost
     known = contract_topics(options.namespace)
     topics = {name: known.get(name, "") for name in options.topics} if options.topics else known
     stop = StopFlag()
     recorder = executor = None
     try:
-        rclpy.init(args=ros_args, signal_handler_options=SignalHandlerOptions.NO)
+        join_graph(ros_args)
         recorder = Recorder(bag, topics)
         executor = fastest_executor()
         executor.add_node(recorder)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -63,15 +62,12 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def _replay(bag: Outline, options: argparse.Namespace, ros_args: list[str]) -> int:
     import rclpy
-    from rclpy.signals import SignalHandlerOptions
-    from vo2_interface.executable import StopFlag, leave_graph
-    from vo2_interface.one_host import FASTDDS_PROFILE
+    from vo2_interface.executable import StopFlag, join_graph, leave_graph
 
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(FASTDDS_PROFILE))  # long queues: nothing lost
     stop = StopFlag()
     node = None
     try:
-        rclpy.init(args=ros_args, signal_handler_options=SignalHandlerOptions.NO)
+        join_graph(ros_args)
         node = rclpy.create_node("replay")
         return _publish_all(node, bag, options, lambda: stop.is_set)
     except (ValueError, RuntimeError) as error:  # rclpy raises bare RuntimeErrors of its C layer

@@ -5,6 +5,7 @@ from __future__ import annotations
 import faulthandler
 import gc
 import inspect
+import os
 import re
 import signal
 import sys
@@ -18,9 +19,18 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from vo2_interface.one_host import missing_settings
 from vo2_interface.usage import ARGUMENTS, usage
 
-__all__ = ["RigNode", "StopFlag", "beside_ros_arguments", "fastest_executor", "leave_graph", "run_nodes"]
+__all__ = [
+    "RigNode",
+    "StopFlag",
+    "beside_ros_arguments",
+    "fastest_executor",
+    "join_graph",
+    "leave_graph",
+    "run_nodes",
+]
 
 _SPIN_S = 0.05
 _LEAVE_S = 6.0
@@ -72,6 +82,25 @@ def beside_ros_arguments(line: Sequence[str]) -> list[str]:
                 f"--params-file {path}: {why}; give one that `fit` or `identifier` wrote"
             ) from error
         raise ValueError(text) from error
+
+
+def join_graph(args: Sequence[str] | None = None) -> None:
+    """Initialise rclpy with the settings of `one_host`, whatever shell this process was started from.
+
+    Parameters
+    ----------
+    args : command line with the program first, None for `sys.argv`
+
+    Raises
+    ------
+    ValueError : ROS arguments that cannot be used; one line.
+    """
+    # read by rcl and by Fast DDS when the first participant is made
+    os.environ.update(missing_settings())
+    try:
+        rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # rclpy raises bare RuntimeErrors of its C layer here
+        raise ValueError(" ".join(str(error).split())) from error
 
 
 def fastest_executor(context: rclpy.Context | None = None) -> Executor:
@@ -130,9 +159,9 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
     nodes: list[Node] = []
     executor: Executor | None = None
     try:
-        rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # rclpy raises bare RuntimeError subclasses of its C layer here
-        print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
+        join_graph(args)
+    except ValueError as error:
+        print(f"{program}: {error}", file=sys.stderr)
         return 2
     try:
         executor = fastest_executor()

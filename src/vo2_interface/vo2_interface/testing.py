@@ -10,14 +10,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
-from vo2_interface.executable import fastest_executor, leave_graph
+from vo2_interface.executable import fastest_executor, join_graph, leave_graph
 from vo2_interface.one_host import one_host_environment
 from vo2_interface.samples import SampleReader, SampleWriter
 from vo2_interface.topics import DIAGNOSTICS, LATCHED_QOS, READ_QOS, REFERENCE, SAMPLE_QOS
@@ -124,7 +122,7 @@ def bench(arguments: Sequence[str] = ()) -> Iterator[Bench]:
     """Give a bench on a domain of its own; `arguments` are ROS arguments for all nodes of the process."""
     before = dict(os.environ)
     os.environ.update(one_host_environment(free_domain()))
-    rclpy.init(args=["test", *arguments], signal_handler_options=SignalHandlerOptions.NO)
+    join_graph(["test", *arguments])
     found = Bench()
     try:
         yield found

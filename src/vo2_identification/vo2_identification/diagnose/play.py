@@ -15,14 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
 from rclpy.executors import Executor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
-from vo2_interface.executable import StopFlag, fastest_executor, leave_graph
-from vo2_interface.one_host import FASTDDS_PROFILE
+from vo2_interface.executable import StopFlag, fastest_executor, join_graph, leave_graph
 from vo2_interface.parameters import ros_parameters
 from vo2_interface.samples import SampleReader
 from vo2_interface.topics import COMMAND, MEASUREMENT, READ_QOS
@@ -105,7 +102,6 @@ def play(
     OSError : the disk is full.
     """
     levels = playable_levels(excitation, device)
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(FASTDDS_PROFILE))
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     stop = StopFlag()
     # what goes well is told by `progress`
@@ -113,10 +109,7 @@ def play(
     arguments += ["-p", f"preset:={device}", "-p", f"rate_hz:={1.0 / sample_period_s!r}"]
     executor, nodes = None, list[Node]()
     try:
-        try:
-            rclpy.init(args=["--ros-args", *arguments], signal_handler_options=SignalHandlerOptions.NO)
-        except RuntimeError as error:  # rclpy raises what its C layer says
-            raise ValueError(" ".join(str(error).split())) from error
+        join_graph(["--ros-args", *arguments])
         node = IdentifierNode()
         nodes.append(node)
         executor = fastest_executor()

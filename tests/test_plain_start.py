@@ -1,0 +1,139 @@
+"""Nodes started as anybody starts them, with nothing set in the shell: loopback only, heard by plain ROS 2, no loss."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from vo2_interface.one_host import missing_settings
+from vo2_interface.testing import free_domain
+
+SETTINGS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "FASTRTPS_DEFAULT_PROFILES_FILE")
+PATIENCE_S = 60.0
+LISTEN = """
+import sys, rclpy
+from sensor_msgs.msg import JointState
+rclpy.init()
+node = rclpy.create_node("plain")
+heard = []
+node.create_subscription(JointState, "/vo2/measurement", heard.append, 10)
+while len(heard) < 3:
+    rclpy.spin_once(node)
+print("heard", heard[0].name)
+"""
+
+
+def plain_environment():
+    """What a shell gives that has sourced the workspace, on a domain of this test's own."""
+    kept = {name: value for name, value in os.environ.items() if name not in SETTINGS}
+    return {**kept, "ROS_DOMAIN_ID": str(free_domain())}
+
+
+def installed(package, executable):
+    """The entry point as `ros2 run` finds it."""
+    for prefix in os.environ["AMENT_PREFIX_PATH"].split(os.pathsep):
+        path = Path(prefix) / "lib" / package / executable
+        if path.exists():
+            return str(path)
+    raise FileNotFoundError(f"{package} {executable}: build and source the workspace first")
+
+
+@contextmanager
+def running(command, environment):
+    """Run a command for the length of the context; whatever happens, it is gone afterwards."""
+    process = subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate(timeout=10)
+
+
+def bound_addresses(pid):
+    """IP addresses that the sockets of a process are bound to, as `ss -anp` shows them: (hex address, port)."""
+    links = []
+    for descriptor in Path(f"/proc/{pid}/fd").iterdir():
+        try:
+            links.append(os.readlink(descriptor))
+        except FileNotFoundError:  # closed meanwhile
+            continue
+    inodes = {link[8:-1] for link in links if link.startswith("socket:[")}
+    found = set()
+    for table in ("udp", "udp6", "tcp", "tcp6"):
+        for line in Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[9] in inodes:
+                found.add(tuple(fields[1].split(":")))
+    return found
+
+
+def wait_for(condition, what):
+    deadline = time.monotonic() + PATIENCE_S
+    while not (found := condition()):
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"{what} did not happen in {PATIENCE_S} s")
+        time.sleep(0.05)
+    return found
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        lambda: [installed("vo2_plant_sim", "plant")],
+        lambda: [sys.executable, "-m", "vo2_plant_sim.plant_node"],
+        lambda: [installed("vo2_identification", "record"), "--output"],
+    ],
+    ids=["entry point", "python -m", "record"],
+)
+def test_every_socket_is_on_the_loopback_interface(command, tmp_path):
+    line = command()
+    line += [str(tmp_path / "bag")] if line[-1] == "--output" else []
+    with running(line, plain_environment()) as node:
+        found = wait_for(lambda: bound_addresses(node.pid), "a socket")
+        time.sleep(1.0)
+        found |= bound_addresses(node.pid)
+        assert {address for address, _ in found} == {
+            "0100007F"
+        }  # 127.0.0.1 in the byte order of this machine
+        node.send_signal(signal.SIGINT)
+        assert node.wait(PATIENCE_S) == 0
+
+
+def test_one_variable_opens_the_graph_to_the_network():
+    environment = {**plain_environment(), "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+    with running([installed("vo2_plant_sim", "plant")], environment) as node:
+        wait_for(
+            lambda: "00000000" in {address for address, _ in bound_addresses(node.pid)}, "an open socket"
+        )
+
+
+def test_what_the_user_has_set_stays():
+    assert set(missing_settings({})) == {"ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"}
+    chosen = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF", "FASTRTPS_DEFAULT_PROFILES_FILE": "own.xml"}
+    assert missing_settings(chosen) == {}
+    assert missing_settings({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}).keys() == {
+        "FASTRTPS_DEFAULT_PROFILES_FILE"
+    }
+
+
+def test_a_program_without_our_settings_hears_the_nodes():
+    environment = plain_environment()
+    with running([installed("vo2_plant_sim", "plant")], environment):
+        listener = subprocess.run(
+            [sys.executable, "-c", LISTEN],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE_S,
+            check=False,
+        )
+    assert "film_resistance" in listener.stdout, listener.stderr
