@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 import time
 
 import numpy as np
 import pytest
-from bag_makers import bag_by_rosbags, measurements
+from bag_makers import JOINT_STATE, bag_by_rosbags, measurements
 from graph import PATIENCE_S, Graph, running
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from vo2_identification.bags import write_bag
+from vo2_identification.bags import BagError, BagWriter, write_bag
+from vo2_identification.bags.joint_state import encode
 from vo2_identification.bags.playback import outline, schedule
 from vo2_interface.topics import LATCHED_QOS, READ_QOS
 from vo2_models.recording import Recording
@@ -141,9 +143,48 @@ def test_the_schedule_of_passes_offsets_and_lengths(tmp_path):
     np.testing.assert_allclose(short, [0.0, 0.1, 0.2], atol=1e-12)
 
 
+def stock_bag(path, *, stamps_s):
+    """A bag of a run in simulated time as `ros2 bag record` writes it: log times of the wall, stamps of the run."""
+    with BagWriter(path) as bag:
+        topic = bag.add_topic("/vo2/measurement", JOINT_STATE)
+        clock = bag.add_topic("/clock", "rosgraph_msgs/msg/Clock")
+        times = np.rint(np.array(stamps_s) * 1e9).astype(np.int64)
+        for k, message in enumerate(
+            encode(times, ["heater_current"], np.zeros((times.size, 1)), "integrated")
+        ):
+            bag.write(topic, 1_760_000_000_000_000_000 + 1_000_000 * k, message)
+            bag.write(clock, 1_760_000_000_000_000_000 + 1_000_000 * k, message[:12])
+    return path
+
+
+def test_a_bag_of_simulated_time_with_log_times_of_the_wall_is_played(graph, tmp_path):
+    # ten times as fast as the wall
+    bag = stock_bag(tmp_path / "bag", stamps_s=np.arange(50) / 100)
+    heard = graph.collect(JointState, "/vo2/measurement", READ_QOS)
+    with running(REPLAY, bag, "--loop", 2, "--wait", 10, "--topics", "/vo2/measurement") as process:
+        graph.spin_until(lambda: len(heard) >= 100, "two passes")
+        _, err = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, err) == (0, "")
+    told = stamps(heard)
+    assert told[:50] == [10_000_000 * k for k in range(50)]
+    assert all(later > earlier for earlier, later in itertools.pairwise(told))
+
+
+def test_stamps_of_two_clocks_do_not_stretch_a_pass(tmp_path):
+    held = outline(stock_bag(tmp_path / "bag", stamps_s=[0.0, 0.01, 1_760_000_000.0]))
+    assert held.pass_ns == 3_000_000
+
+
+def test_a_stamp_that_cannot_be_moved_on_ends_with_a_line(tmp_path):
+    bag = stock_bag(tmp_path / "bag", stamps_s=[2.0**31 - 1.0, 2.0**31 - 0.5])
+    with pytest.raises(BagError, match=r"cannot be moved on .* play the bag fewer times"):
+        list(schedule(bag, outline(bag), passes=3))
+
+
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
+        (["{bag}", "--duration", "inf"], "--duration"),
         (["{none}"], "found nothing there"),
         (["{bag}", "--topics", "/vo2/nonsense"], "/vo2/measurement"),
         (["{bag}", "--offset", "99"], "0.009 s long"),

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from vo2_models.io import InputError, check_place, check_regular, one_line
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ Fit driver, thermal model, resistance, deflection and sensors of a device to one
 (a damped oscillation), and write the model file that plant, estimator, controller and feedforward load. The uncertainty
 of each parameter and the residual of each channel stand in the file.
 """
+_MARK = "fitted by `fit`"
+"""Begins the first line of a model file that this command may replace."""
 _UNITS = {
     RESISTANCE: ("log10 ohm", 1.0),
     TIP_DEFLECTION: ("um", 1e6),
@@ -66,9 +68,9 @@ def _run(options: argparse.Namespace) -> int:
             names=names,
             self_sensing=not options.simulation_only,
         )
-        save_model_parameters(options.output, parameters, comment=f"fitted by `fit` to {', '.join(names)}")
+        save_model_parameters(options.output, parameters, comment=f"{_MARK} to {', '.join(names)}")
     except ValueError as error:
-        return _refuse(str(error))
+        return _refuse(one_line(error))
     except OSError as error:
         return _refuse(f"{options.output}: cannot be written ({error.strerror or error})")
     for line in _summary(result):
@@ -106,10 +108,15 @@ def _of_device(recording: Recording, device: str, bag: Path) -> Recording:
 def _check_place(output: Path) -> None:
     """Refuse before the work what could not be written after it."""
     if output.is_dir():
-        raise ValueError(f"{output}: is a folder, need the name of a file, such as {output / 'model.yaml'}")
-    parent = next((folder for folder in output.absolute().parents if folder.exists()), None)
-    if parent is None or not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise ValueError(f"{output}: cannot be written ({parent} is not a folder that may be written into)")
+        raise InputError(f"{output}: is a folder, need the name of a file, such as {output / 'model.yaml'}")
+    check_place(output)
+    if output.exists():
+        check_regular(output)
+        with output.open("rb") as file:
+            if not file.read(len(_MARK) + 2).decode(errors="replace").startswith(f"# {_MARK}"):
+                raise InputError(
+                    f"{output}: exists and was not written by fit; move it away or name another file"
+                )
 
 
 def _summary(result: FitResult) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -38,7 +39,7 @@ def main(args: Sequence[str] | None = None) -> int:
         return _refuse(f"{ros_args[0]}: no such option; see --help")
     for name, low in (("rate", 0.0), ("clock", 0.0), ("duration", 0.0), ("loop", 0.0)):
         value = getattr(options, name)
-        if value is not None and not value > low and not (name == "loop" and value == -1):
+        if value is not None and not low < value < math.inf and not (name == "loop" and value == -1):
             return _refuse(f"--{name}: found {value:g}, need a number above 0")
     for name in ("offset", "wait"):
         if not getattr(options, name) >= 0:

@@ -28,7 +28,7 @@ def test_a_failure_while_writing_leaves_the_former_file_and_nothing_beside_it(tm
     def fail(*_arguments):
         raise failure
 
-    monkeypatch.setattr("vo2_models.model_file.os.replace", fail)
+    monkeypatch.setattr("vo2_models.io.files.os.replace", fail)
     with pytest.raises(type(failure)):
         save_model_parameters(path, {"model.device": "peltier"})
     assert load_model_parameters(path) == MODEL
@@ -39,11 +39,18 @@ def test_a_failure_while_writing_leaves_the_former_file_and_nothing_beside_it(tm
     ("content", "said"),
     [
         (None, "cannot be read"),
-        (b"PK\x03\x04\x80\xff", "is not YAML"),
+        (b"PK\x03\x04\x80\xff", "byte 4 is not UTF-8"),
         (b"a: [1\nb: }", "is not YAML"),
         (b"", "holds no model"),
         (b"/**:\n  ros__parameters:\n", "holds no model"),
         (b"/**:\n  ros__parameters: {kind: composite}\n", "holds no model"),
+        (b"/**: {ros__parameters: {model.a: }}", "model.a: found None"),
+        (b"/**: {ros__parameters: {model: {a: .nan}}}", "model.a: found nan"),
+        (b"/**: {ros__parameters: {model.a: [1, b]}}", "model.a: found"),
+        (b"/**: {ros__parameters: {model.a: [[1], [2]]}}", "model.a: found"),
+        (b"/**: {ros__parameters: {model.a: 99999999999999999999}}", "model.a: found"),
+        (b"/**: {ros__parameters: {model.a: 2020-01-01}}", "model.a: found"),
+        (b"/**: {ros__parameters: " + b"[" * 100_000, "nested deeper"),
     ],
 )
 def test_what_is_no_model_file_is_one_line_that_names_it(tmp_path, content, said):

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import yaml
 
+from vo2_models.io import InputError, read_yaml, write_whole
 from vo2_models.parameters import Value
 
 __all__ = ["load_model_parameters", "save_model_parameters"]
 
 _PREFIX = "model."
-# the same safe subset in C where PyYAML has it: ten times as fast, and a model is some ten thousand numbers
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+# in C where PyYAML has it: ten times as fast, and a model is some ten thousand numbers
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
@@ -34,6 +33,7 @@ def save_model_parameters(path: str | Path, parameters: Mapping[str, Value], *, 
     Raises
     ------
     ValueError : a name outside `model.`, or a value that is not finite.
+    OSError : the file cannot be written.
     """
     plain: dict[str, object] = {}
     for name, value in sorted(parameters.items()):
@@ -43,20 +43,10 @@ def save_model_parameters(path: str | Path, parameters: Mapping[str, Value], *, 
         if array.dtype.kind == "f" and not np.all(np.isfinite(array)):
             raise ValueError(f"{name}: found a value that is not finite; a model file needs finite numbers")
         plain[name] = array.tolist()
-    target = Path(path)
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     tree = {"/**": {"ros__parameters": plain}}
     text = head + yaml.dump(tree, Dumper=_DUMPER, sort_keys=True, width=100)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, partial = tempfile.mkstemp(dir=target.parent, prefix=target.name, suffix=".part")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
-        os.chmod(partial, 0o644)
-        os.replace(partial, target)
-    except BaseException:
-        os.unlink(partial)  # a full disk or Ctrl-C leaves nothing beside the place
-        raise
+    write_whole(path, text)
 
 
 def load_model_parameters(path: str | Path) -> dict[str, Value]:
@@ -64,25 +54,43 @@ def load_model_parameters(path: str | Path) -> dict[str, Value]:
 
     Raises
     ------
-    ValueError : not a ROS parameter file, or no `model.*` in it; the message names the file.
+    ValueError : not a ROS parameter file, no `model.*` in it, or one that is neither finite numbers nor a text; the
+        message names the file and the parameter.
     """
     try:
-        content = yaml.load(Path(path).read_text(encoding="utf-8"), Loader=_LOADER)
-    except OSError as error:
-        raise ValueError(
-            f"{path}: cannot be read ({error.strerror}); give a file that `fit` wrote"
-        ) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        why = " ".join(str(error).split())
-        raise ValueError(f"{path}: is not YAML ({why}); give a file that `fit` wrote") from error
+        content = read_yaml(path)
+    except InputError as error:
+        raise InputError(f"{error}; give a file that `fit` wrote") from error
     found: dict[str, Value] = {}
     for section in (content or {}).values() if isinstance(content, dict) else ():
         if isinstance(section, dict):
             _flatten("", section.get("ros__parameters", {}), found)
     model = {name: value for name, value in found.items() if name.startswith(_PREFIX)}
     if not model:
-        raise ValueError(f"{path}: holds no model.* parameters; give a file that `fit` wrote")
+        raise InputError(f"{path}: holds no model.* parameters; give a file that `fit` wrote")
+    for name, value in model.items():
+        if not _is_value(value):
+            raise InputError(
+                f"{path}: {name}: found {value!r}, need finite numbers, texts or a flat list of one kind; "
+                "give a file that `fit` wrote"
+            )
     return model
+
+
+def _is_value(value: object) -> bool:
+    """Whether this is what a ROS parameter can hold."""
+    if isinstance(value, list):
+        kinds = {_kind(element) for element in value}
+        return len(kinds) <= 1 and None not in kinds
+    return _kind(value) is not None
+
+
+def _kind(value: object) -> str | None:
+    if isinstance(value, (bool, str)):
+        return type(value).__name__
+    if isinstance(value, int) and -(2**63) <= value < 2**63:
+        return "number"
+    return "number" if isinstance(value, float) and math.isfinite(value) else None
 
 
 def _flatten(prefix: str, tree: object, into: dict[str, Value]) -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import yaml
 from vo2_interface.parameters import ParameterTable
 from vo2_models.device import truth
 from vo2_models.device.stepper import Stepper
+from vo2_models.io import load_yaml
 from vo2_models.parameters import Parameter
 
 __all__ = ["SIMULATED_DEVICE_PARAMETERS", "TRUE_CHANNELS", "SimulatedDevice", "simulated_device"]
@@ -98,10 +98,7 @@ def simulated_device(preset: str, rate_hz: float, parameters: ParameterTable) ->
 
 
 def _effects(text: str) -> Mapping[str, Mapping[str, float | str]]:
-    try:
-        found = yaml.safe_load(text) if text.strip() else {}
-    except yaml.YAMLError as error:
-        raise ValueError(f"effects: {text!r} is not YAML ({' '.join(str(error).split())})") from error
+    found = load_yaml(text, "effects") if text.strip() else {}
     if not isinstance(found, dict) or not all(isinstance(values, dict) for values in found.values()):
         raise ValueError(f'effects: found {text!r}, need a mapping such as "{{creep: {{creep: 0.05}}}}"')
     return found

@@ -23,6 +23,8 @@ STAMPED = frozenset(
     }
 )
 """Types of the contract, all of which begin with a stamp: a later pass moves it on."""
+_LONGEST_NS = 10**16
+"""No recording is longer (116 days): stamps of a topic further apart come from two clocks."""
 
 
 @dataclass
@@ -71,7 +73,9 @@ def outline(path: str | Path, topics: Collection[str] | None = None) -> Outline:
     found = Outline()
     present: set[str] = set()
     times: list[int] = []
-    spans: dict[str, list[int]] = {}
+    stamps: dict[
+        str, list[int]
+    ] = {}  # of each topic the earliest and latest; their clock need not be that of the log
     for channel, log_time, data in raw_messages(path, found.problems):
         topic = channel.topic
         if topics is not None and topic not in topics:
@@ -80,15 +84,14 @@ def outline(path: str | Path, topics: Collection[str] | None = None) -> Outline:
         if topic not in found.channels:
             found.channels[topic] = channel
             found.counts[topic] = 0
-            spans[topic] = [log_time, log_time]
             times += (log_time, log_time)
         found.counts[topic] += 1
         times[0] = min(times[0], log_time)
         times[1] = max(times[1], log_time)
-        span = spans[topic]
-        for moment in (log_time, _stamp_ns(data)) if channel.msgtype in STAMPED else (log_time,):
-            span[0] = min(span[0], moment)
-            span[1] = max(span[1], moment)
+        if channel.msgtype in STAMPED and (stamp := _stamp_ns(data)) is not None:
+            span = stamps.setdefault(topic, [stamp, stamp])
+            span[0] = min(span[0], stamp)
+            span[1] = max(span[1], stamp)
     for topic in topics or ():
         if topic not in found.channels:
             raise BagError(
@@ -100,12 +103,8 @@ def outline(path: str | Path, topics: Collection[str] | None = None) -> Outline:
     found.first_ns, found.last_ns = times[0], times[1]
     busiest = max(found.counts, key=lambda topic: found.counts[topic])
     period = (times[1] - times[0]) // max(found.counts[busiest] - 1, 1) or _NS
-    longest = max(
-        span[1] - span[0]
-        for topic, span in spans.items()
-        if span[1] - span[0] < 2 * (times[1] - times[0]) + _NS
-    )
-    found.pass_ns = longest + period
+    lengths = [last - first for first, last in stamps.values() if last - first < _LONGEST_NS]
+    found.pass_ns = max(times[1] - times[0], *lengths, 0) + period
     return found
 
 
@@ -127,6 +126,10 @@ def schedule(
     duration_s : length to play [s], None for all
     passes : number of passes, None for no end. A later pass has its stamps moved on by the length of the bag.
     latched : topics whose last message before the offset is published at the start
+
+    Raises
+    ------
+    BagError : a later pass would move a stamp beyond the 32 bits of its seconds.
     """
     begin = bag.first_ns + round(offset_s * _NS)
     end = None if duration_s is None else begin + round(duration_s * _NS)
@@ -154,13 +157,23 @@ def schedule(
         done += 1
 
 
-def _stamp_ns(data: bytes) -> int:
+def _stamp_ns(data: bytes) -> int | None:
+    """Return the stamp of a little-endian message that begins with one, None where it cannot have one."""
+    if data[:2] != b"\x00\x01" or len(data) < 4 + _STAMP.size:
+        return None
     seconds, nanoseconds = _STAMP.unpack_from(data, 4)
     return int(seconds) * _NS + int(nanoseconds)
 
 
 def _moved(data: bytes, shift_ns: int) -> bytes:
     """Return a little-endian message that begins with a stamp, its stamp moved on."""
-    if data[:2] != b"\x00\x01":
+    stamp = _stamp_ns(data)
+    if stamp is None:
         return data
-    return data[:4] + _STAMP.pack(*divmod(_stamp_ns(data) + shift_ns, _NS)) + data[12:]
+    try:
+        return data[:4] + _STAMP.pack(*divmod(stamp + shift_ns, _NS)) + data[12:]
+    except struct.error:
+        raise BagError(
+            f"a stamp of {stamp / _NS:.9g} s cannot be moved on by {shift_ns / _NS:.6g} s, its seconds have 32 bits; "
+            "play the bag fewer times"
+        ) from None

@@ -11,6 +11,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from vo2_models.io import OutputFolder, one_line
+
 if TYPE_CHECKING:
     from vo2_models.diagnosis.result import Diagnosis, NextExperiment
     from vo2_models.parameters import Value
@@ -43,8 +45,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         return _run(options)
-    except (ValueError, OSError) as error:
-        print(f"diagnose: {' '.join(str(error).split())}", file=sys.stderr)
+    except OSError as error:
+        place = error.filename or options.output
+        print(f"diagnose: {place}: cannot be written ({error.strerror or error})", file=sys.stderr)
+        return 2
+    except ValueError as error:
+        print(f"diagnose: {one_line(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(f"diagnose: interrupted; nothing more is written to {options.output}", file=sys.stderr)
@@ -58,8 +64,7 @@ def _run(options: argparse.Namespace) -> int:
     # after the arguments: a wrong option must not wait for the compiler
     from vo2_models.model_file import load_model_parameters
 
-    if output.exists() and not output.is_dir():
-        raise ValueError(f"--output {output}: is a file, need a folder")
+    _outputs(output).check()
     parameters = load_model_parameters(options.model)
     from vo2_models.diagnosis.nominal import Nominal
 
@@ -94,6 +99,8 @@ def diagnose_bags(
     from vo2_identification.bags import read_recording
     from vo2_identification.bags.problems import in_few_lines
 
+    outputs = _outputs(output)
+    outputs.check()
     began = time.perf_counter()
     recordings, problems = [], []
     for bag in bags:
@@ -105,9 +112,16 @@ def diagnose_bags(
         result = study(recordings, parameters, progress=progress, names=[str(bag) for bag in bags])
         spent = time.perf_counter() - began
         diagnosis: Diagnosis = files.result().write_results(result, output, problems=problems, seconds=spent)
+    outputs.remember()
     print(diagnosis.summary)
     print(f"report: {output / 'report.html'}", flush=True)
     return diagnosis
+
+
+def _outputs(output: Path) -> OutputFolder:
+    from vo2_models.diagnosis.result import RESULTS
+
+    return OutputFolder(output, RESULTS)
 
 
 def _prepare_next(output: Path) -> None:

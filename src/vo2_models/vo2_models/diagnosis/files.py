@@ -10,7 +10,8 @@ from vo2_models.diagnosis.assemble_diagnosis import assemble_diagnosis
 from vo2_models.diagnosis.nominal import THERMAL
 from vo2_models.diagnosis.pipeline import Study
 from vo2_models.diagnosis.report import report_page
-from vo2_models.diagnosis.result import Diagnosis
+from vo2_models.diagnosis.result import Diagnosis, validate
+from vo2_models.io import write_whole
 from vo2_models.model_file import save_model_parameters
 from vo2_models.parameters import Value
 
@@ -33,18 +34,27 @@ def corrected_parameters(study: Study) -> dict[str, Value]:
 def write_results(
     study: Study, folder: Path, *, problems: Sequence[str] = (), seconds: float = 0.0
 ) -> Diagnosis:
-    """Write `diagnosis.json`, `report.html` and `corrected_model.yaml` into `folder`; return the diagnosis."""
+    """Write `RESULTS` into `folder`, each whole or not at all; return the diagnosis.
+
+    Raises
+    ------
+    ValueError : a result that cannot be written down; nothing is written.
+    OSError : the disk is full or the folder cannot be written; names the file.
+    """
     diagnosis = assemble_diagnosis(study)
     diagnosis = replace(
         diagnosis, limits=[*problems, *diagnosis.limits], seconds=seconds or diagnosis.seconds
     )
-    folder.mkdir(parents=True, exist_ok=True)
-    diagnosis.save(folder / "diagnosis.json")
+    report = report_page(study, diagnosis)
+    corrected = corrected_parameters(study)
+    # nothing is written before everything is known to be sound
+    validate(diagnosis.to_dict())
     names = ", ".join(e.id for e in diagnosis.effects) or "none"
     save_model_parameters(
         folder / "corrected_model.yaml",
-        corrected_parameters(study),
+        corrected,
         comment=f"Effects added by diagnose: {names}",
     )
-    (folder / "report.html").write_text(report_page(study, diagnosis), encoding="utf-8")
+    write_whole(folder / "report.html", report)
+    diagnosis.save(folder / "diagnosis.json")
     return diagnosis

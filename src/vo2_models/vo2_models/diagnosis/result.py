@@ -9,7 +9,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from vo2_models.io import write_whole
+
 __all__ = [
+    "RESULTS",
     "SCHEMA",
     "Candidate",
     "ChannelFit",
@@ -22,6 +25,8 @@ __all__ = [
 ]
 
 SCHEMA = "vo2-diagnosis/1"
+RESULTS = ("diagnosis.json", "report.html", "corrected_model.yaml")
+"""What a diagnosis writes into its folder."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +140,7 @@ class Diagnosis:
         """
         plain = self.to_dict()
         validate(plain)
-        Path(path).write_text(json.dumps(plain, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        write_whole(path, json.dumps(plain, indent=1, allow_nan=False) + "\n")
 
 
 def validate(plain: Mapping[str, Any]) -> None:

@@ -13,6 +13,8 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, fields
 from pathlib import Path
 
+from vo2_models.io import OutputFolder, write_whole
+
 from vo2_studies.challenge.draw import KINDS, CasePlan, plan_case
 from vo2_studies.challenge.excitation import EXCITATIONS
 from vo2_studies.challenge.families import ALL, FAMILIES, chosen_families
@@ -20,6 +22,7 @@ from vo2_studies.challenge.runner import CaseRunner, Paths, Settings, finished, 
 
 __all__ = ["main"]
 
+_REPORTS = ("challenge.json", "challenge.html", "confusion.png")
 _INTERRUPTED = "interrupted; finished cases are kept, the same command continues"
 
 
@@ -165,8 +168,8 @@ def _claim(paths: Paths, settings: Settings) -> None:
             different = ", ".join(key for key in wanted if found.get(key) != wanted[key])
             raise ValueError(f"output: {paths.root} was begun with another {different}, need another folder")
         return
-    if (paths.root / "results").exists():
-        raise ValueError(f"output: {paths.root} has results of unknown settings, need another folder")
+    # without its settings nothing in it is ours
+    OutputFolder(paths.root, ("answers", "cases", "results", *_REPORTS)).check()
     save_json(file, wanted)
 
 
@@ -244,9 +247,9 @@ def _report(plans: Sequence[CasePlan], paths: Paths, argv: Sequence[str] | None)
     judgements = [judge(load_json(paths.answer(k)), load_json(paths.result(k))) for k in indices]
     scores = score(judgements)
     save_json(paths.root / "challenge.json", scores)
-    (paths.root / "confusion.png").write_bytes(confusion_png(judgements))
+    write_whole(paths.root / "confusion.png", confusion_png(judgements))
     command = "./vo2 run vo2_identification challenge " + " ".join(sys.argv[1:] if argv is None else argv)
-    (paths.root / "challenge.html").write_text(page(scores, judgements, command), encoding="utf-8")
+    write_whole(paths.root / "challenge.html", page(scores, judgements, command))
     print(confusion_text(judgements))
     print()
     for words, value, spread, verdict in score_lines(scores):

@@ -24,6 +24,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from vo2_models.io import write_whole
+
 from vo2_studies.challenge.draw import Case, CasePlan, draw_case, follow_up_recording
 
 __all__ = ["CaseRunner", "Paths", "Settings", "finished", "load_json", "save_json"]
@@ -67,10 +69,7 @@ class Paths:
 
 def save_json(path: Path, content: Any) -> None:
     """Write `content` as JSON so that `path` is whole or absent at any time."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(path.suffix + ".partial")
-    partial.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(partial, path)
+    write_whole(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def load_json(path: Path) -> Any:

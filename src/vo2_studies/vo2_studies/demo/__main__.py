@@ -6,12 +6,13 @@ import argparse
 import json
 import os
 import random
-import shutil
 import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+
+from vo2_models.io import OutputFolder, write_whole
 
 from vo2_studies.demo.acts import ACTS, act
 from vo2_studies.demo.concealed import check_choice
@@ -42,22 +43,25 @@ def main(args: Sequence[str] | None = None) -> int:
     if problem := _unusable(folder):
         print(f"demo: {problem}", file=sys.stderr)
         return 2
-    if options.seeds:
-        from vo2_studies.demo.seeds import run_seeds
-
-        run_seeds(options.preset, range(options.seed, options.seed + options.seeds), folder, print)
-        return 0
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
+        if options.seeds:
+            from vo2_studies.demo.seeds import run_seeds
+
+            with OutputFolder(folder, ("seeds.json",)).replaced():
+                run_seeds(options.preset, range(options.seed, options.seed + options.seeds), folder, print)
+            return 0
         check_choice(options.effect, options.preset)
-    except ValueError as error:
+        with OutputFolder(folder, _OWN).replaced():
+            return _run(options, folder)
+    except (ValueError, OSError) as error:
         print(f"demo: {error}", file=sys.stderr)
         return 2
+
+
+def _run(options: argparse.Namespace, folder: Path) -> int:
     seed = options.seed
     print(f"seed {seed}; ./vo2 demo --seed {seed} --effect {options.effect} repeats this run", flush=True)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    for name in _OWN:
-        path = folder / name
-        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
     # a domain of its own, so that nothing else on this host is disturbed or disturbs
     graph = Graph(options.domain or random.SystemRandom().randrange(1, 100), folder / "logs")
     os.environ.update(graph.environment())
@@ -100,7 +104,7 @@ def _finish(stage: Stage) -> None:
     # with the report itself
     stage.metrics["run_s"] = round(time.monotonic() - stage.started, 1)
     metrics = stage.folder / "metrics.json"
-    metrics.write_text(json.dumps(stage.metrics, indent=2) + "\n", encoding="utf-8")
+    write_whole(metrics, json.dumps(stage.metrics, indent=2) + "\n")
     stage.say(f"done; peak memory of a process {stage.metrics['peak_memory_mb']:g} MB")
     for line in stage.closing_lines():
         print(line)

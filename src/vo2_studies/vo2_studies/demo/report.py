@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from vo2_identification.bags.reading import commanded_current
 from vo2_interface.model import operating_point
 from vo2_models.device.model import DeviceModel
+from vo2_models.io import write_whole
 from vo2_models.page.page import page, paragraph, section, table
 from vo2_models.recording import HEATER_CURRENT, Recording
 
@@ -43,7 +44,7 @@ def write_report(stage: Stage) -> Path:
         "resistance, and its position controlled on that estimate. Every number below comes from the recorded bag."
     )
     path = stage.folder / "report.html"
-    path.write_text(page(title, lead, parts), encoding="utf-8")
+    write_whole(path, page(title, lead, parts))
     return path
 
 

@@ -20,6 +20,7 @@ from vo2_models.device import truth
 from vo2_models.device.description import preset
 from vo2_models.device.simulation import TRUE_DEFLECTION
 from vo2_models.identification.excitation import damped_oscillation, random_levels
+from vo2_models.io import write_whole
 from vo2_models.recording import RESISTANCE, Recording
 from vo2_models.self_sensing import self_sensing
 from vo2_models.workflow import fit
@@ -104,6 +105,4 @@ def _summary(rows: list[dict[str, dict[str, float]]]) -> dict[str, dict[str, dic
 
 def _save(path: Path, content: object) -> None:
     """Replace the file whole, so that an interrupt leaves the one before."""
-    partial = path.with_suffix(".part")
-    partial.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    partial.replace(path)
+    write_whole(path, json.dumps(content, indent=2) + "\n")

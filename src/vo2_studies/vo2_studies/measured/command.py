@@ -54,11 +54,15 @@ def _run(arguments: Sequence[str] | None) -> int:
         return _refuse(f"--data: found none of {', '.join(missing)} in {data}, need at least one")
     if options.jobs < 1:
         return _refuse(f"--jobs: found {options.jobs}, need at least 1")
+    from vo2_models.io import OutputFolder
+
     from vo2_studies.measured.report import write_report
     from vo2_studies.measured.words import across_sets, diagnosis_sentence, verdict
 
     reports = {}
+    outputs = OutputFolder(options.output, ("report.html", "measured.json", "bags"))
     try:
+        outputs.check()
         options.output.mkdir(parents=True, exist_ok=True)
         workers = min(len(there), options.jobs)
         for key, report in _studies(there, data, options, workers):
@@ -69,6 +73,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         for text in across_sets([reports[key].study for key in there]):
             print(text)
         html, answer = write_report(options.output, [reports[key] for key in there], missing)
+        outputs.remember()
     except ValueError as error:
         return _refuse(str(error))
     except OSError as error:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from vo2_models.io import write_whole
 from vo2_models.page.page import page, paragraph, section, table
 
 from vo2_studies.measured.figures import course_figure, error_figure, laws_figure, piezo_figure
@@ -66,7 +67,7 @@ def write_report(folder: Path, reports: Sequence[SetReport], missing: Sequence[s
         "on data that no fit saw. Kelvins carry no scale here: no recording has a temperature."
     )
     html = folder / "report.html"
-    html.write_text(page("Diagnosis on measured data", lead, parts), encoding="utf-8")
+    write_whole(html, page("Diagnosis on measured data", lead, parts))
     answer = folder / "measured.json"
     text = json.dumps(
         {
@@ -78,7 +79,7 @@ def write_report(folder: Path, reports: Sequence[SetReport], missing: Sequence[s
         indent=1,
         ensure_ascii=False,
     )
-    answer.write_text(text + "\n", encoding="utf-8")
+    write_whole(answer, text + "\n")
     return html, answer
 
 

@@ -13,6 +13,8 @@ from pathlib import Path
 from pkgutil import iter_modules
 from types import ModuleType
 
+from vo2_models.io import InputError, OutputFolder, write_whole
+
 from vo2_studies.reproduce import INTERRUPTED
 from vo2_studies.reproduce import sections as section_folder
 from vo2_studies.reproduce.claims import Context, Section
@@ -64,16 +66,24 @@ def run(arguments: Sequence[str] | None = None) -> int:
     if min(options.draws, options.robust_draws, options.workers) < 1:
         print("reproduce: --draws, --robust-draws, --workers: need at least 1", file=sys.stderr)
         return 2
+    outputs = OutputFolder(options.output, ("reproduction.json", "reproduction.html", "scenarios"))
     try:
+        outputs.check()
         options.output.mkdir(parents=True, exist_ok=True)
-        target = options.output / "reproduction.json"
-        target.touch()
+        return _run_sections(wanted, options, outputs)
+    except InputError as error:
+        print(f"reproduce: --output: {error}", file=sys.stderr)
     except OSError as error:
+        place = error.filename or options.output
         print(
-            f"reproduce: --output: cannot write {options.output} ({error.strerror}); give a writable folder",
+            f"reproduce: --output: cannot write {place} ({error.strerror}); give a writable folder",
             file=sys.stderr,
         )
-        return 2
+    return 2
+
+
+def _run_sections(wanted: Sequence[ModuleType], options: argparse.Namespace, outputs: OutputFolder) -> int:
+    """Run sections one after the other; what is done is on disk at any time."""
     started = time.monotonic()
     done: list[Section] = []
     for module in wanted:
@@ -95,6 +105,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
                 file=sys.stderr,
             )
             return INTERRUPTED
+        finally:
+            outputs.remember()
         done.append(section)
         met = sum(claim.met for claim in section.claims)
         _line(
@@ -103,10 +115,11 @@ def run(arguments: Sequence[str] | None = None) -> int:
         print(file=sys.stderr)
         # after every section: an interrupted run leaves what it has found
         _write(options.output, done, time.monotonic() - started, wanted)
+        outputs.remember()
     claims = [claim for section in done for claim in section.claims]
     print(f"{sum(c.met for c in claims)} of {len(claims)} claims met")
     print(f"page  {options.output / 'reproduction.html'}")
-    print(f"data  {target}")
+    print(f"data  {options.output / 'reproduction.json'}")
     return 0
 
 
@@ -116,8 +129,8 @@ def _write(folder: Path, done: Sequence[Section], seconds: float, wanted: Sequen
         only if len(wanted) < len(section_modules()) else ""
     )
     records = [claim.record() for section in done for claim in section.claims]
-    (folder / "reproduction.json").write_text(json.dumps(records, indent=1) + "\n", encoding="utf-8")
-    (folder / "reproduction.html").write_text(page(done, command=command, seconds=seconds), encoding="utf-8")
+    write_whole(folder / "reproduction.json", json.dumps(records, indent=1) + "\n")
+    write_whole(folder / "reproduction.html", page(done, command=command, seconds=seconds))
 
 
 def _belongs(number: str, wanted: str) -> bool:
