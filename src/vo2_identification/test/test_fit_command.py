@@ -118,7 +118,7 @@ def test_interrupting_is_one_line(bag, capsys, tmp_path, monkeypatch):
     def interrupt(*_arguments, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("vo2_models.identification.device_fit.fit_device", interrupt)
+    monkeypatch.setattr("vo2_models.identification.model_fit.fit_device", interrupt)
     output = str(tmp_path / "model.yaml")
     assert main(["--bag", str(bag), "--device", "integrated", "--output", output, "--quiet"]) == 130
     assert capsys.readouterr().err.splitlines()[-1] == f"fit: interrupted; {output} is not written"
