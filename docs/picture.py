@@ -10,7 +10,8 @@ import numpy as np
 from vo2_models.device import truth
 from vo2_models.identification.excitation import damped_oscillation, random_levels
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
-from vo2_models.self_sensing import identify, self_sensing
+from vo2_models.self_sensing import self_sensing
+from vo2_models.workflow import fit
 
 BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#555555"
 LOW, HIGH = 3.68e-3, 8.49e-3
@@ -23,7 +24,7 @@ def main() -> None:
     recorded = device.simulate(slow, seed=1)
     names = ("heater_current", RESISTANCE, TIP_DEFLECTION)
     given = Recording(recorded.time_s, {name: recorded[name] for name in names}, "integrated")
-    scheme = self_sensing("composite", identify(given, "integrated"))
+    scheme = self_sensing("composite", fit(given, "integrated"))
     test = device.simulate(np.repeat(random_levels(LOW, HIGH, 60, seed=5), 10), seed=2)
     found, _ = scheme.estimate(test[RESISTANCE])
 
