@@ -207,7 +207,7 @@ def test_big_endian_messages_are_read_too(tmp_path):
 
 
 def test_a_malformed_message_is_reported_and_the_others_read():
-    collected = JointStates()
+    collected = JointStates(["a"])
     good = encode(np.array([1, 2], np.int64), ("a",), np.array([[1.0], [2.0]]), "x")
     for data in (good[0], good[1][:30], good[1]):
         collected.add(data)
@@ -238,7 +238,7 @@ def test_encoding_agrees_with_rosbags_and_decoding_inverts_it(names, frame, stam
         [data.draw(st.lists(st.floats(), min_size=len(names), max_size=len(names))) for _ in stamps]
     ).reshape(len(stamps), len(names))
     encoded = encode(np.array(stamps, np.int64), names, values, frame)
-    collected = JointStates()
+    collected = JointStates(names)
     for message in encoded:
         collected.add(message)
     samples = collected.samples()

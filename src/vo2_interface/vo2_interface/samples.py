@@ -17,14 +17,12 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
+from vo2_interface.joint_state_cdr import FRAME_AT, LITTLE_ENDIAN, STAMP_AT, blank_sample, read_layout
+
 __all__ = ["ClockWriter", "SampleReader", "SampleWriter", "stamp_message", "to_stamp_ns"]
 
 _NAN = float("nan")
 _STAMP = struct.Struct("<iI")
-_STAMP_AT = 4
-_BODY_AT = _STAMP_AT + _STAMP.size
-_ENCAPSULATION = 4
-_LITTLE_ENDIAN = b"\x00\x01"
 _NS = 1_000_000_000
 
 
@@ -50,11 +48,11 @@ class SampleWriter:
     def __init__(self, channels: Sequence[str], device: str = "") -> None:
         self.channels = tuple(channels)
         count = len(self.channels)
-        buffer, values_at = _blank_sample(self.channels, device)
-        self._head = bytes(buffer[:_STAMP_AT])
-        self._body = bytes(buffer[_BODY_AT:values_at])
+        buffer, values_at = blank_sample(self.channels, device)
+        self._head = bytes(buffer[:STAMP_AT])
+        self._body = bytes(buffer[FRAME_AT:values_at])
         self._tail = bytes(buffer[values_at + 8 * count :])
-        self._pack = struct.Struct(f"<{_STAMP_AT}siI{len(self._body)}s{count}d{len(self._tail)}s").pack
+        self._pack = struct.Struct(f"<{STAMP_AT}siI{len(self._body)}s{count}d{len(self._tail)}s").pack
 
     def write(self, stamp_ns: int, values: Sequence[float]) -> bytes:
         """Return the serialized sample; `values` in the order of the channels, SI units."""
@@ -69,7 +67,7 @@ class ClockWriter:
 
     def write(self, stamp_ns: int) -> bytes:
         """Return the serialized clock."""
-        _STAMP.pack_into(self._buffer, _STAMP_AT, *divmod(stamp_ns, _NS))
+        _STAMP.pack_into(self._buffer, STAMP_AT, *divmod(stamp_ns, _NS))
         return bytes(self._buffer)
 
 
@@ -86,7 +84,7 @@ class SampleReader:
         self.names: tuple[str, ...] = ()
         self.device = ""
         self._body = b""
-        self._body_end = _BODY_AT
+        self._body_end = FRAME_AT
         self._size = -1
         self._unpack: Callable[[bytes], tuple[Any, ...]] = struct.Struct("").unpack_from
         self._pick: Callable[[tuple[Any, ...]], tuple[float, ...]] = tuple
@@ -95,8 +93,8 @@ class SampleReader:
         """Return (stamp in ns, values in the order of `channels`) of a serialized JointState."""
         if (
             len(data) != self._size
-            or data[_BODY_AT : self._body_end] != self._body
-            or data[:2] != _LITTLE_ENDIAN
+            or data[FRAME_AT : self._body_end] != self._body
+            or data[:2] != LITTLE_ENDIAN
         ):
             return self._read_new_layout(data)
         found = self._unpack(data)
@@ -113,11 +111,11 @@ class SampleReader:
         self.device = message.header.frame_id
         positions = dict(zip(message.name, message.position, strict=False))
         plain = len(message.position) == len(message.name) and not message.velocity and not message.effort
-        if plain and data[:2] == _LITTLE_ENDIAN and len(set(self.names)) == len(self.names):
-            offset = _position_offset(data)
-            self._body, self._body_end = bytes(data[_BODY_AT:offset]), offset
+        if plain and data[:2] == LITTLE_ENDIAN and len(set(self.names)) == len(self.names):
+            offset = read_layout(data).values_at
+            self._body, self._body_end = bytes(data[FRAME_AT:offset]), offset
             self._size = len(data)
-            self._unpack = struct.Struct(f"<{_STAMP_AT}xiI{len(self._body)}x{len(self.names)}d").unpack_from
+            self._unpack = struct.Struct(f"<{STAMP_AT}xiI{len(self._body)}x{len(self.names)}d").unpack_from
             self._pick = _picker(self.names, self.channels)
         return stamp_ns, tuple(float(positions.get(name, _NAN)) for name in self.channels)
 
@@ -130,66 +128,3 @@ def _picker(names: Sequence[str], wanted: Sequence[str]) -> Callable[[tuple[Any,
     if len(places) > 1 and None not in places:
         return itemgetter(*places)
     return lambda found: tuple([_NAN if at is None else found[at] for at in places])
-
-
-def _blank_sample(channels: Sequence[str], device: str) -> tuple[bytearray, int]:
-    """Return a serialized JointState of zeros and where its positions begin.
-
-    Written here, not by the message class, which leaves whatever memory held in the padding between members:
-    the same run must give the same bytes.
-    """
-    buffer = bytearray(_LITTLE_ENDIAN + bytes(_ENCAPSULATION - len(_LITTLE_ENDIAN) + _STAMP.size))
-
-    def align(size: int) -> None:
-        buffer.extend(bytes(_align(len(buffer), size) - len(buffer)))
-
-    def add_count(count: int) -> None:
-        align(4)
-        buffer.extend(count.to_bytes(4, "little"))
-
-    def add_string(text: str) -> None:
-        raw = text.encode() + b"\0"
-        add_count(len(raw))
-        buffer.extend(raw)
-
-    add_string(device)
-    add_count(len(channels))
-    for name in channels:
-        add_string(name)
-    add_count(len(channels))
-    if channels:
-        align(8)
-    values_at = len(buffer)
-    buffer.extend(bytes(8 * len(channels)))
-    add_count(0)  # velocity
-    add_count(0)  # effort
-    return buffer, values_at
-
-
-def _position_offset(data: bytes) -> int:
-    """Return where the doubles of `position` begin in a little-endian serialized JointState.
-
-    The common data representation aligns every member to its own size, counted from the end of the
-    four-byte encapsulation header.
-    """
-    at = _BODY_AT
-    at = _skip_string(data, at)
-    count, at = _read_count(data, at)
-    for _ in range(count):
-        at = _skip_string(data, at)
-    count, at = _read_count(data, at)
-    return _align(at, 8) if count else at
-
-
-def _align(at: int, size: int) -> int:
-    return _ENCAPSULATION + -(-(at - _ENCAPSULATION) // size) * size
-
-
-def _read_count(data: bytes, at: int) -> tuple[int, int]:
-    at = _align(at, 4)
-    return int.from_bytes(data[at : at + 4], "little"), at + 4
-
-
-def _skip_string(data: bytes, at: int) -> int:
-    length, at = _read_count(data, at)
-    return at + length

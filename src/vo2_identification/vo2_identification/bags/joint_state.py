@@ -7,25 +7,22 @@ layout starts an array of its own.
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from vo2_identification.bags.channels import JOINT_STATE
+from vo2_interface.joint_state_cdr import FRAME_AT, STAMP_AT, CdrError, blank_sample, read_layout
 
 __all__ = ["JointStates", "Samples", "encode", "typestore"]
 
-_LITTLE_ENDIAN = b"\x00\x01"
-_STAMP = struct.Struct("<iI")
-_LENGTH = struct.Struct("<I")
-_BODY = 4  # CDR aligns from here, after the encapsulation header
-_FRAME = 12  # frame_id begins here, after the stamp
 _BATCH = 1 << 16
+_BATCH_BYTES = 1 << 24
+_LAYOUTS = 16
+_MOST_FRAMES = 100
+_MOST_MALFORMED = 100
 
 
 @dataclass(frozen=True)
@@ -37,8 +34,10 @@ class Samples:
     stamp_ns : (n,) header stamps [ns]
     values : channel -> (n,), NaN where the message had no such channel
     present : channel -> (n,) whether the message had the channel
-    frames : frame_id -> number of messages
-    malformed : positions in the topic (0 is its first message) that could not be decoded, with the reason
+    frames : frame_id -> number of messages, of the first hundred
+    malformed : positions in the topic (0 is its first message) of the first hundred messages that could not be decoded,
+        with the reason
+    malformed_count : number of all of these
     """
 
     stamp_ns: NDArray[np.int64]
@@ -46,103 +45,121 @@ class Samples:
     present: dict[str, NDArray[np.bool_]]
     frames: dict[str, int]
     malformed: list[tuple[int, str]]
+    malformed_count: int = 0
 
 
 @dataclass(frozen=True)
-class _Layout:
-    names: tuple[str, ...]
+class _Part:
+    """Messages of one layout: places in the topic, stamps [ns], frame, wanted names and their values (n, m)."""
+
+    index: NDArray[np.int64]
+    stamp_ns: NDArray[np.int64]
     frame: str
-    offset: int
-    """where the values begin in the message"""
-    count: int
-    """number of values"""
+    names: tuple[str, ...]
+    values: NDArray[np.float64]
 
 
 class JointStates:
-    """Collects serialized messages of one topic; `samples()` gives them as arrays."""
+    """Collects serialized messages of one topic; `samples()` gives them as arrays.
 
-    def __init__(self) -> None:
+    Memory: 8 bytes for the stamp and each wanted channel of a message, three times that while `samples` works.
+
+    Parameters
+    ----------
+    channels : names that are kept
+    """
+
+    def __init__(self, channels: Collection[str]) -> None:
+        self._channels = frozenset(channels)
         self._waiting: list[bytes] = []
+        self._waiting_bytes = 0
         self._first = 0
-        self._parts: list[tuple[NDArray[np.int64], NDArray[np.int64], _Layout, NDArray[np.float64]]] = []
+        self._parts: list[_Part] = []
         self._malformed: list[tuple[int, str]] = []
+        self._malformed_count = 0
 
     def add(self, data: bytes) -> None:
         """Append one serialized message."""
         self._waiting.append(data)
-        if len(self._waiting) >= _BATCH:
+        self._waiting_bytes += len(data)
+        if len(self._waiting) >= _BATCH or self._waiting_bytes >= _BATCH_BYTES:
             self._decode()
 
     def samples(self) -> Samples:
         """Return everything added so far."""
         self._decode()
-        good = sum(part[0].size for part in self._parts)
-        where = np.concatenate([part[0] for part in self._parts]) if good else np.empty(0, np.int64)
+        parts = self._parts
+        good = sum(part.index.size for part in parts)
+        where = np.concatenate([part.index for part in parts]) if good else np.empty(0, np.int64)
         # malformed messages leave no sample behind: the others move up
-        order = np.argsort(where, kind="stable")
         rank = np.empty(good, np.int64)
-        rank[order] = np.arange(good)
+        rank[np.argsort(where, kind="stable")] = np.arange(good)
+        del where
         stamps = np.empty(good, np.int64)
-        values: dict[str, NDArray[np.float64]] = {}
-        present: dict[str, NDArray[np.bool_]] = {}
+        names = dict.fromkeys(name for part in parts for name in part.names)
+        values = {name: np.full(good, np.nan) for name in names}
+        present = {name: np.zeros(good, np.bool_) for name in names}
         frames: dict[str, int] = {}
         done = 0
-        for index, stamp, layout, matrix in self._parts:
-            place = rank[done : done + index.size]
-            done += index.size
-            stamps[place] = stamp
-            frames[layout.frame] = frames.get(layout.frame, 0) + index.size
-            for column in reversed(range(layout.count)):  # of a name that occurs twice the first one counts
-                name = layout.names[column]
-                if name not in values:
-                    values[name] = np.full(good, np.nan)
-                    present[name] = np.zeros(good, np.bool_)
-                values[name][place] = matrix[:, column]
+        for part in parts:
+            place = rank[done : done + part.index.size]
+            done += part.index.size
+            stamps[place] = part.stamp_ns
+            if part.frame in frames or len(frames) < _MOST_FRAMES:
+                frames[part.frame] = frames.get(part.frame, 0) + part.index.size
+            for column, name in enumerate(part.names):
+                values[name][place] = part.values[:, column]
                 present[name][place] = True
-        names = dict.fromkeys(name for part in self._parts for name in part[2].names[: part[2].count])
-        return Samples(
-            stamps,
-            {name: values[name] for name in names},
-            {name: present[name] for name in names},
-            frames,
-            sorted(self._malformed),
-        )
+        return Samples(stamps, values, present, frames, sorted(self._malformed), self._malformed_count)
 
     def _decode(self) -> None:
         waiting, first = self._waiting, self._first
-        self._waiting, self._first = [], first + len(waiting)
+        self._waiting, self._waiting_bytes, self._first = [], 0, first + len(waiting)
         by_length: dict[int, list[int]] = {}
         for k, data in enumerate(waiting):
             by_length.setdefault(len(data), []).append(k)
         for length, members in by_length.items():
-            joined = b"".join([waiting[k] for k in members])
-            block = np.frombuffer(joined, np.uint8).reshape(len(members), length)
-            index = np.array(members, np.int64)
-            while index.size:
-                sample = block[0].tobytes()
-                layout, reason = _parse(sample)
-                if layout is None:
-                    same = np.zeros(index.size, np.bool_)
-                    same[0] = True
-                    message = _by_rosbags(sample)
-                    if message is None:
-                        self._malformed.append((first + int(index[0]), reason))
-                    else:
-                        single, layout, row = message
-                        self._parts.append((index[:1] + first, np.array([single]), layout, row))
-                else:
-                    alike = block[:, _FRAME : layout.offset] == block[0, _FRAME : layout.offset]
-                    same = alike.all(axis=1) & (block[:, :4] == block[0, :4]).all(axis=1)
-                    chosen = np.ascontiguousarray(block[same])
-                    stamp = np.ascontiguousarray(chosen[:, _BODY:_FRAME])
-                    seconds = stamp[:, :4].copy().view("<i4").astype(np.int64).ravel()
-                    nanoseconds = stamp[:, 4:].copy().view("<u4").astype(np.int64).ravel()
-                    stop = layout.offset + 8 * layout.count
-                    matrix = chosen[:, layout.offset : stop].copy().view("<f8").astype(np.float64)
-                    self._parts.append(
-                        (index[same] + first, seconds * 1_000_000_000 + nanoseconds, layout, matrix)
-                    )
+            block = np.frombuffer(b"".join([waiting[k] for k in members]), np.uint8).reshape(-1, length)
+            index = np.array(members, np.int64) + first
+            for _ in range(_LAYOUTS):
+                if not index.size:
+                    break
+                same = self._take(block, index)
                 block, index = block[~same], index[~same]
+            # so many layouts are nobody's recording: one by one, since each look through the block takes its length
+            for k in range(index.size):
+                self._take(block[k : k + 1], index[k : k + 1])
+
+    def _take(self, block: NDArray[np.uint8], index: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Decode the first message of a block and all others of its layout; return which they are."""
+        try:
+            layout = read_layout(block[0].tobytes())
+        except CdrError as error:
+            self._malformed_count += 1
+            if len(self._malformed) < _MOST_MALFORMED:
+                self._malformed.append((int(index[0]), str(error)))
+            return np.arange(index.size) == 0
+        alike = block[:, FRAME_AT : layout.values_at] == block[0, FRAME_AT : layout.values_at]
+        same = alike.all(axis=1) & (block[:, :STAMP_AT] == block[0, :STAMP_AT]).all(axis=1)
+        chosen = block[same]
+        order = "<" if layout.little_endian else ">"
+        seconds = _column(chosen, STAMP_AT, f"{order}i4").astype(np.int64)
+        nanoseconds = _column(chosen, STAMP_AT + 4, f"{order}u4").astype(np.int64)
+        # of a name that occurs twice the first one counts
+        columns = {name: k for k, name in reversed(list(enumerate(layout.names))) if name in self._channels}
+        names = tuple(sorted(columns, key=columns.__getitem__))
+        values = np.empty((index[same].size, len(names)))
+        for column, name in enumerate(names):
+            values[:, column] = _column(chosen, layout.values_at + 8 * columns[name], f"{order}f8")
+        self._parts.append(
+            _Part(index[same], seconds * 1_000_000_000 + nanoseconds, layout.frame, names, values)
+        )
+        return same
+
+
+def _column(block: NDArray[np.uint8], at: int, kind: str) -> NDArray[Any]:
+    """Return what each row of bytes holds from `at` on."""
+    return np.ascontiguousarray(block[:, at : at + np.dtype(kind).itemsize]).view(kind).ravel()
 
 
 def encode(
@@ -157,53 +174,15 @@ def encode(
     values : (n, m) positions
     frame_id : device preset
     """
-    template = bytearray(_serialize(names, frame_id))
-    layout, reason = _parse(bytes(template))
-    if layout is None:
-        raise ValueError(f"names: found {list(names)!r} that cannot be written ({reason})")
+    template, values_at = blank_sample(names, frame_id)
     block = np.tile(np.frombuffer(bytes(template), np.uint8), (len(stamp_ns), 1))
     seconds, nanoseconds = np.divmod(stamp_ns, 1_000_000_000)
-    block[:, _BODY : _BODY + 4] = seconds.astype("<i4").reshape(-1, 1).view(np.uint8)
-    block[:, _BODY + 4 : _FRAME] = nanoseconds.astype("<u4").reshape(-1, 1).view(np.uint8)
-    stop = layout.offset + 8 * layout.count
-    block[:, layout.offset : stop] = (
-        np.ascontiguousarray(values, "<f8").view(np.uint8).reshape(len(block), -1)
-    )
+    block[:, STAMP_AT : STAMP_AT + 4] = seconds.astype("<i4").reshape(-1, 1).view(np.uint8)
+    block[:, STAMP_AT + 4 : FRAME_AT] = nanoseconds.astype("<u4").reshape(-1, 1).view(np.uint8)
+    raw = np.ascontiguousarray(values, "<f8").view(np.uint8).reshape(len(block), -1)
+    block[:, values_at : values_at + raw.shape[1]] = raw
     joined, length = block.tobytes(), block.shape[1]
     return [joined[k : k + length] for k in range(0, len(joined), length)]
-
-
-def _parse(data: bytes) -> tuple[_Layout | None, str]:
-    """Return the layout of a little-endian message, or None and the reason."""
-    if data[:2] != _LITTLE_ENDIAN:
-        return None, "not little-endian CDR"
-    try:
-        frame, position = _string(data, _FRAME)
-        (names,), position = _LENGTH.unpack_from(data, position), position + 4
-        found = []
-        for _ in range(names):
-            name, position = _string(data, position)
-            found.append(name)
-        (count,), position = _LENGTH.unpack_from(data, position), position + 4
-    except (struct.error, UnicodeDecodeError) as error:
-        return None, f"the message is cut short or damaged ({error})"
-    if count:
-        position += -(position - _BODY) % 8
-    if position + 8 * count > len(data):
-        return None, f"the message announces {count} values, but ends before them"
-    if count != names:
-        return None, f"the message has {names} names for {count} values"
-    return _Layout(tuple(found), frame, position, count), ""
-
-
-def _string(data: bytes, position: int) -> tuple[str, int]:
-    position += -(position - _BODY) % 4
-    (length,) = _LENGTH.unpack_from(data, position)
-    stop = position + 4 + length
-    if stop > len(data):
-        raise struct.error(f"a text of {length} bytes ends outside the message")
-    text = data[position + 4 : stop].rstrip(b"\0").decode()
-    return text, stop + (-(stop - _BODY) % 4)
 
 
 @lru_cache(maxsize=1)
@@ -212,33 +191,3 @@ def typestore() -> Any:
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_JAZZY)
-
-
-def _by_rosbags(data: bytes) -> tuple[int, _Layout, NDArray[np.float64]] | None:
-    """Decode what is not little-endian, which no current middleware writes, at leisure."""
-    if data[:2] != b"\x00\x00":
-        return None
-    try:
-        message = typestore().deserialize_cdr(data, JOINT_STATE)
-    except Exception:  # rosbags does not say what it raises on damaged data: reported as malformed
-        return None
-    count = len(message.position)
-    if count != len(message.name):
-        return None
-    stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-    layout = _Layout(tuple(message.name), message.header.frame_id, 0, count)
-    return stamp, layout, np.asarray(message.position, np.float64).reshape(1, count)
-
-
-def _serialize(names: Sequence[str], frame_id: str) -> bytes:
-    store = typestore()
-    time = store.types["builtin_interfaces/msg/Time"]
-    header = store.types["std_msgs/msg/Header"]
-    message = store.types[JOINT_STATE](
-        header=header(stamp=time(sec=0, nanosec=0), frame_id=frame_id),
-        name=list(names),
-        position=np.zeros(len(names)),
-        velocity=np.empty(0),
-        effort=np.empty(0),
-    )
-    return bytes(store.serialize_cdr(message, JOINT_STATE))

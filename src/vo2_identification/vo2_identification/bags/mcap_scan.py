@@ -1,4 +1,4 @@
-"""MCAP files read from front to back, whole or cut short.
+"""MCAP files read from front to back, whole or cut short, one chunk in memory at a time.
 
 The index at the end of an MCAP file is not used: a recorder that was killed never wrote it. One way of
 reading serves both, so the salvaging path runs on every file. Format: https://mcap.dev/spec .
@@ -6,10 +6,10 @@ reading serves both, so the salvaging path runs on every file. Format: https://m
 
 from __future__ import annotations
 
-import mmap
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import BinaryIO
 from zlib import crc32
 
 from vo2_identification.bags.channels import Channel
@@ -20,57 +20,84 @@ __all__ = ["MAGIC", "scan_mcap"]
 
 MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
+_HEAD = struct.Struct("<BQ")
 _LENGTH = struct.Struct("<Q")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQI")
+_MOST_BYTES = 1 << 28
+"""Of one record, and of one chunk when it is decompressed."""
 
 
-def scan_mcap(path: Path, problems: list[Problem]) -> Iterator[tuple[Channel, int, bytes]]:
-    """Yield (channel, log time [ns], serialized message) in file order; append what is wrong to `problems`.
+def scan_mcap(
+    path: Path, problems: list[Problem], wanted: Callable[[Channel], bool]
+) -> Iterator[tuple[Channel, int, bytes]]:
+    """Yield (channel, log time [ns], serialized message) of wanted channels in file order.
+
+    What is wrong is appended to `problems`. A record of more than 256 MB is left out.
 
     Raises
     ------
     BagError : not an MCAP file, or not one with ROS 2 messages.
     """
-    if path.stat().st_size < len(MAGIC):
+    size = path.stat().st_size
+    if size < len(MAGIC):
         problems.append(Problem("truncated", path.name, "the file is empty", index=0))
         return
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        if data[: len(MAGIC)] != MAGIC:
+    # not by a memory map: where the file shrinks meanwhile, that ends the process
+    with path.open("rb") as file:
+        if file.read(len(MAGIC)) != MAGIC:
             raise BagError(f"{path}: found no MCAP magic bytes at its start, need an .mcap file of rosbag2")
-        yield from _Scan(path.name, data, problems).messages()
+        yield from _Scan(path.name, file, size, problems, wanted).messages()
 
 
 class _Scan:
     """State of one front-to-back pass: the schemas and channels met so far."""
 
-    def __init__(self, name: str, data: mmap.mmap, problems: list[Problem]) -> None:
+    def __init__(
+        self,
+        name: str,
+        file: BinaryIO,
+        size: int,
+        problems: list[Problem],
+        wanted: Callable[[Channel], bool],
+    ) -> None:
         self.name = name
-        self.data = data
+        self.file = file
+        self.size = size
         self.problems = problems
+        self.wanted = wanted
         self.types: dict[int, str] = {0: ""}
-        self.channels: dict[int, Channel] = {}
+        self.channels: dict[int, Channel | None] = {}  # None for one that nobody wants
         self.count = 0
 
     def messages(self) -> Iterator[tuple[Channel, int, bytes]]:
-        data, end = self.data, len(self.data)
+        file, end = self.file, self.size
         position, summary, footer = len(MAGIC), False, False
         while position + 9 <= end:
-            opcode = data[position]
+            head = file.read(9)
+            if len(head) < 9:  # the file shrinks while it is read
+                break
+            opcode, length = _HEAD.unpack(head)
             start = position + 9
-            stop = start + _LENGTH.unpack_from(data, position + 1)[0]
+            stop = start + length
             if opcode == 0 or (stop > end and opcode != _CHUNK):
                 break
             if opcode == _FOOTER:
-                position, footer = stop, data[stop : stop + len(MAGIC)] == MAGIC
+                file.seek(stop)
+                position, footer = stop, file.read(len(MAGIC)) == MAGIC
                 break
             if opcode == _DATA_END:
                 summary = True
-            if not summary:
-                if opcode == _CHUNK:
-                    yield from self._chunk(start, min(stop, end), whole=stop <= end)
-                else:
-                    yield from self._record(opcode, data[start:stop])
+            if summary or min(stop, end) - start > _MOST_BYTES:
+                if not summary:
+                    self._corrupt(
+                        f"a record of {length / 1e6:.4g} MB is left out, need at most 268 MB", start
+                    )
+                file.seek(stop)
+            elif opcode == _CHUNK:
+                yield from self._chunk(file.read(min(stop, end) - start), start, whole=stop <= end)
+            else:
+                yield from self._record(opcode, file.read(length))
             if stop > end:
                 break
             position = stop
@@ -87,20 +114,18 @@ class _Scan:
                 )
             )
 
-    def _chunk(self, start: int, stop: int, *, whole: bool) -> Iterator[tuple[Channel, int, bytes]]:
-        head = self.data[start : min(start + 64, stop)]
+    def _chunk(self, content: bytes, start: int, *, whole: bool) -> Iterator[tuple[Channel, int, bytes]]:
         try:
-            _, _, size, checksum = _CHUNK_HEAD.unpack_from(head, 0)
-            compression, offset = _text(head, _CHUNK_HEAD.size)
-            body = self.data[start + offset + 8 : stop]
-            (length,) = _LENGTH.unpack_from(head, offset)
-            records, complete = expand(body[:length], compression)
+            _, _, size, checksum = _CHUNK_HEAD.unpack_from(content, 0)
+            compression, offset = _text(content, _CHUNK_HEAD.size)
+            (length,) = _LENGTH.unpack_from(content, offset)
+            records, wrong = expand(content[offset + 8 : offset + 8 + length], compression)
         except (struct.error, UnicodeDecodeError, ValueError) as error:
             if whole:
                 self._corrupt(f"a chunk cannot be read ({error}), its messages are lost", start)
             return
-        if whole and not complete:
-            self._corrupt("a chunk is damaged, its messages are read up to the damage", start)
+        if whole and wrong:
+            self._corrupt(f"a chunk is damaged, its messages are read up to the damage ({wrong})", start)
         elif whole and len(records) != size:
             self._corrupt(f"a chunk has {len(records)} bytes instead of {size}", start)
         elif whole and checksum and crc32(records) != checksum:
@@ -133,18 +158,19 @@ class _Scan:
                 topic, offset = _text(content, 4)
                 _, offset = _text(content, offset)
                 metadata = _text_map(content, offset)
-                self.channels[number] = Channel(
+                channel = Channel(
                     topic,
                     self.types.get(schema, ""),
                     metadata.get("offered_qos_profiles", ""),
                     metadata.get("topic_type_hash", ""),
                 )
+                self.channels[number] = channel if self.wanted(channel) else None
             elif opcode == _MESSAGE:
                 number, _, log_time, _ = _MESSAGE_HEAD.unpack_from(content, 0)
-                channel = self.channels.get(number)
-                if channel is not None:
+                known = self.channels.get(number)
+                if known is not None:
                     self.count += 1
-                    yield channel, log_time, content[_MESSAGE_HEAD.size :]
+                    yield known, log_time, content[_MESSAGE_HEAD.size :]
         except (struct.error, UnicodeDecodeError) as error:
             self._corrupt(f"a record of type {opcode} cannot be read ({error})", None)
 

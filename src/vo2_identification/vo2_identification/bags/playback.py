@@ -76,11 +76,13 @@ def outline(path: str | Path, topics: Collection[str] | None = None) -> Outline:
     stamps: dict[
         str, list[int]
     ] = {}  # of each topic the earliest and latest; their clock need not be that of the log
-    for channel, log_time, data in raw_messages(path, found.problems):
+
+    def wanted(channel: Channel) -> bool:
+        present.add(channel.topic)
+        return topics is None or channel.topic in topics
+
+    for channel, log_time, data in raw_messages(path, found.problems, wanted):
         topic = channel.topic
-        if topics is not None and topic not in topics:
-            present.add(topic)
-            continue
         if topic not in found.channels:
             found.channels[topic] = channel
             found.counts[topic] = 0
@@ -139,8 +141,8 @@ def schedule(
         earlier: dict[str, Due] = {}
         latest = begin
         lead = done * (bag.pass_ns - (begin - bag.first_ns)) / _NS
-        for channel, log_time, data in raw_messages(path, []):
-            if channel.topic not in bag.channels or (end is not None and log_time >= end):
+        for channel, log_time, data in raw_messages(path, [], lambda each: each.topic in bag.channels):
+            if end is not None and log_time >= end:
                 continue
             moved = _moved(data, shift) if shift and channel.msgtype in STAMPED else data
             if log_time < begin:

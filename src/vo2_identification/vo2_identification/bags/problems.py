@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from vo2_models.io import InputError, one_line
+
 __all__ = ["BagError", "Problem", "in_few_lines", "limited"]
 
 _KINDS = {
@@ -16,7 +18,7 @@ _KINDS = {
 }
 
 
-class BagError(ValueError):
+class BagError(InputError):
     """A bag that cannot be used at all; the message is one line that names it and the remedy."""
 
 
@@ -47,7 +49,7 @@ class Problem:
         if self.index is not None:
             in_file = self.kind in {"truncated", "corrupt", "metadata", "missing_file"}
             place.append(f"{'byte' if in_file else 'sample'} {self.index}")
-        return f"{' '.join(place)}: {self.text}"
+        return one_line(f"{' '.join(place)}: {self.text}")
 
 
 def limited(found: Iterable[Problem], most: int = 20) -> list[Problem]:

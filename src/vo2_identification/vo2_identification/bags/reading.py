@@ -17,7 +17,7 @@ from vo2_models.recording import (
     Recording,
 )
 
-from vo2_identification.bags.channels import JOINT_STATE
+from vo2_identification.bags.channels import JOINT_STATE, Channel
 from vo2_identification.bags.joint_state import JointStates, Samples
 from vo2_identification.bags.problems import BagError, Problem, limited
 from vo2_identification.bags.stamps import find_gaps, increasing_samples
@@ -103,17 +103,14 @@ def read_bag(
     """
     problems: list[Problem] = []
     topics: dict[str, JointStates] = {}
-    ignored: set[str] = set()
-    for message in raw_messages(path, problems):
-        topic = message.channel.topic
-        if topic not in topics:
-            if topic in ignored:
-                continue
-            if message.channel.msgtype != JOINT_STATE or not topic.endswith(tuple(roles)):
-                ignored.add(topic)
-                continue
-            topics[topic] = JointStates()
-        topics[topic].add(message.data)
+
+    def wanted(channel: Channel) -> bool:
+        return channel.msgtype == JOINT_STATE and channel.topic.endswith(tuple(roles))
+
+    for channel, _, data in raw_messages(path, problems, wanted):
+        if channel.topic not in topics:
+            topics[channel.topic] = JointStates(channels)
+        topics[channel.topic].add(data)
     samples = {topic: collected.samples() for topic, collected in topics.items()}
     recordings = {}
     for role in roles:
@@ -166,6 +163,8 @@ def _recording(
     problems.extend(
         limited([Problem("malformed", topic, reason, index=k) for k, reason in samples.malformed])
     )
+    if unnamed := samples.malformed_count - len(samples.malformed):
+        problems.append(Problem("more", topic, f"{unnamed} more of kind malformed"))
     kept, disorder = increasing_samples(topic, samples)
     problems.extend(disorder)
     stamp = samples.stamp_ns[kept]
@@ -173,8 +172,6 @@ def _recording(
         problems.extend(find_gaps(topic, stamp, kept))
     values = {}
     for name in samples.values:
-        if name not in channels:
-            continue
         column = samples.values[name][kept]
         present = samples.present[name][kept]
         if not present.all():
@@ -187,7 +184,7 @@ def _recording(
         values[name] = np.where(np.isfinite(column), column, np.nan)
     device = max(sorted(samples.frames), key=lambda frame: samples.frames[frame], default="")
     if len(samples.frames) > 1:
-        every = ", ".join(f"{frame!r} ({n})" for frame, n in sorted(samples.frames.items()))
+        every = ", ".join(f"{frame!r} ({n})" for frame, n in sorted(samples.frames.items())[:5])
         problems.append(
             Problem("other_device", topic, f"several devices in one topic: {every}; took {device!r}")
         )

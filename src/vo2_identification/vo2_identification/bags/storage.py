@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import yaml
+from vo2_models.io import InputError, check_regular, one_line, read_yaml
 
 from vo2_identification.bags.channels import Channel
-from vo2_identification.bags.decompression import ZSTD_MAGIC, expand, zstd
+from vo2_identification.bags.decompression import ZSTD_MAGIC, expand, expand_pieces, most_bytes
 from vo2_identification.bags.mcap_scan import scan_mcap
 from vo2_identification.bags.problems import BagError, Problem, limited
 from vo2_identification.bags.sqlite_scan import scan_sqlite
@@ -21,6 +21,8 @@ __all__ = ["RawMessage", "raw_messages", "storage_files"]
 
 _SCANNERS = {".mcap": scan_mcap, ".db3": scan_sqlite}
 _INFORMATION = "rosbag2_bagfile_information"
+_PIECE = 1 << 16
+_MOST_DAMAGED = 1000
 
 
 class RawMessage(NamedTuple):
@@ -31,31 +33,40 @@ class RawMessage(NamedTuple):
     data: bytes
 
 
-def raw_messages(path: str | Path, problems: list[Problem]) -> Iterator[RawMessage]:
-    """Yield every message of a bag in the order it was written; append what is wrong to `problems`.
+def raw_messages(
+    path: str | Path, problems: list[Problem], wanted: Callable[[Channel], bool] = lambda channel: True
+) -> Iterator[RawMessage]:
+    """Yield the messages of a bag in the order it was written; append what is wrong to `problems`.
+
+    One chunk is in memory at a time (at most 268 MB), whatever the size of the bag.
 
     Parameters
     ----------
     path : a bag's directory, or one of its files (.mcap, .db3, either with .zstd behind it)
     problems : list that grows while the messages are consumed
+    wanted : which channels; the messages of others are skipped unread where the storage allows it
 
     Raises
     ------
-    BagError : nothing there, no storage file in it, or a file of another kind.
+    BagError : nothing there, no storage file in it, a file of another kind, or one that cannot be read.
     """
     damaged: list[Problem] = []
-    for file in storage_files(Path(path), problems):
-        with _plain_file(file, problems) as plain:
-            count = 0
-            for channel, log_time, data in _SCANNERS[plain.suffix](plain, problems):
-                if data[:4] == ZSTD_MAGIC:  # rosbag2's compression mode "message"
-                    data, whole = expand(data, "zstd")
-                    if not whole:
-                        text = f"message {count} of the file cannot be decompressed"
-                        damaged.append(Problem("malformed", channel.topic, text))
-                        continue
-                count += 1
-                yield RawMessage(channel, log_time, data)
+    try:
+        for file in storage_files(Path(path), problems):
+            with _plain_file(file, problems) as plain:
+                count = 0
+                for channel, log_time, data in _SCANNERS[plain.suffix](plain, problems, wanted):
+                    if data[:4] == ZSTD_MAGIC:  # rosbag2's compression mode "message"
+                        data, wrong = expand(data, "zstd")
+                        if wrong:
+                            if len(damaged) <= _MOST_DAMAGED:
+                                text = f"message {count} of the file cannot be decompressed: {wrong}"
+                                damaged.append(Problem("malformed", channel.topic, text))
+                            continue
+                    count += 1
+                    yield RawMessage(channel, log_time, data)
+    except OSError as error:
+        raise BagError(f"{error.filename or path}: cannot be read ({error.strerror or error})") from error
     problems.extend(limited(damaged))
 
 
@@ -66,9 +77,10 @@ def storage_files(path: Path, problems: list[Problem]) -> list[Path]:
     ------
     BagError : nothing there, or no storage file in it.
     """
-    if not path.exists():
+    if "\0" in str(path) or not path.exists():
         raise BagError(f"{path}: found nothing there, need a rosbag2 directory or an .mcap or .db3 file")
-    if path.is_file():
+    if not path.is_dir():
+        check_regular(path)
         if _kind(path) is None:
             raise BagError(f"{path}: found a file of another kind, need .mcap or .db3 (or a bag's directory)")
         return [path]
@@ -81,10 +93,11 @@ def storage_files(path: Path, problems: list[Problem]) -> list[Path]:
             )
         else:
             files.append(found)
-    if not files:
-        files = present
+    files = files or present
     if not files:
         raise BagError(f"{path}: found no .mcap or .db3 file in it, need a rosbag2 directory")
+    for file in files:
+        check_regular(file)
     return files
 
 
@@ -95,11 +108,10 @@ def _listed(path: Path, problems: list[Problem]) -> list[str]:
         problems.append(Problem("metadata", path.name, text))
         return []
     try:
-        document: Any = yaml.safe_load(metadata.read_text(encoding="utf-8"))
+        document = read_yaml(metadata)
         return [Path(str(name)).name for name in document[_INFORMATION]["relative_file_paths"]]
-    except (yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        text = f"metadata.yaml cannot be used ({reason}); the files in the bag are read"
+    except (InputError, KeyError, TypeError) as error:
+        text = f"metadata.yaml cannot be used ({one_line(error, 300)}); the files in the bag are read"
         problems.append(Problem("metadata", path.name, text))
         return []
 
@@ -117,7 +129,7 @@ def _kind(path: Path) -> str | None:
 
 def _split_number(path: Path) -> tuple[object, ...]:
     # bag_2 before bag_10
-    return tuple(int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name))
+    return tuple(int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.name))
 
 
 @contextmanager
@@ -128,20 +140,12 @@ def _plain_file(file: Path, problems: list[Problem]) -> Iterator[Path]:
         return
     with TemporaryDirectory(prefix="vo2_bag_") as folder:
         plain = Path(folder, file.stem)
-        decoder = zstd.ZstdDecompressor()
-        position = 0
         with file.open("rb") as packed, plain.open("wb") as unpacked:
-            while not decoder.eof and (piece := packed.read(1 << 20)):
-                try:
-                    unpacked.write(decoder.decompress(piece))
-                except zstd.ZstdError as error:
-                    problems.append(
-                        Problem("corrupt", file.name, f"cannot be decompressed ({error})", index=position)
-                    )
-                    break
-                position += len(piece)
-            else:
-                if not decoder.eof:
-                    text = "the compressed file is cut short; what is there is read"
-                    problems.append(Problem("truncated", file.name, text, index=position))
+            parts = iter(lambda: packed.read(_PIECE), b"")
+            try:
+                for piece in expand_pieces(parts, "zstd", most_bytes(file.stat().st_size)):
+                    unpacked.write(piece)
+            except EOFError as error:
+                text = f"the compressed file cannot be read to its end: {error}; what is there is read"
+                problems.append(Problem("truncated", file.name, text, index=packed.tell()))
         yield plain

@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from vo2_models.io import read_yaml
 from vo2_models.units import CHANNEL_QUANTITIES, SI, UNITS
 
 __all__ = ["NEUTRAL_STEPS", "SCHEMA", "Document", "check_document", "read_device_file"]
@@ -19,18 +18,11 @@ NEUTRAL_STEPS = 12.0
 
 Document = dict[str, Any]
 Check = Callable[[Any, str], Any]
-# the same safe subset in C where PyYAML has it
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def read_device_file(path: Path) -> Document:
     """Return the content of a YAML file; raise a `ValueError` that names the file where it cannot be read."""
-    try:
-        document = yaml.load(path.read_text(encoding="utf-8-sig"), Loader=_LOADER)
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read ({error.strerror or error}), need a device file") from error
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ValueError(f"{path}: is not YAML ({' '.join(str(error).split())})") from error
+    document = read_yaml(path)
     if not isinstance(document, dict):
         raise ValueError(f"{path}: found {type(document).__name__}, need keys and values: {', '.join(_KEYS)}")
     return document
