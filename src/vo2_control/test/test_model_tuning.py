@@ -9,8 +9,8 @@ from vo2_control.controller import CurrentLimits
 from vo2_control.model_tuning import loop_slopes, thermal_lag, tuned_from_model
 from vo2_control.pid import pid_controller
 from vo2_models.device import truth
-from vo2_models.device.bank import PlayBank
 from vo2_models.device.model import DeviceModel
+from vo2_models.hysteresis.play_bank import PlayBank
 
 
 def crude_model(device):

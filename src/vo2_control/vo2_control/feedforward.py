@@ -95,14 +95,14 @@ class PreisachInverse:
         self.reset()
 
     def reset(self) -> None:
-        self._state = self._inverse.model.operator.saturated(-1)
+        self._state = self._inverse.model.initial_memory()
 
     def wish(self, deflection_m: float) -> float:
         return float(self._inverse.update(deflection_m, self._state.copy()).temperatures[0])
 
     def move(self, temperature_degc: float) -> float:
         low, high = self._range
-        return float(self._inverse.model.update(min(max(temperature_degc, low), high), self._state))
+        return float(self._inverse.model.step(min(max(temperature_degc, low), high), self._state))
 
 
 @dataclass(frozen=True)

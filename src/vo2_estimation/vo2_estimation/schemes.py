@@ -8,8 +8,8 @@ from typing import Protocol
 
 import numpy as np
 from vo2_interface.topics import ESTIMATE_CHANNELS
-from vo2_models.device.bank import PlayBank
 from vo2_models.hysteresis import EGPI
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.parameters import Value
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 from vo2_models.self_sensing import KINDS, self_sensing

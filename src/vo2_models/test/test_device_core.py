@@ -7,12 +7,11 @@ import pytest
 from device_reference import simulate as reference
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from vo2_models.device.bank import PlayBank
 from vo2_models.device.chain import COLUMNS
 from vo2_models.device.coefficients import Coefficient
 from vo2_models.device.description import preset
 from vo2_models.device.model import DeviceModel
-from vo2_models.device.plays import bank_output, tanh
+from vo2_models.hysteresis.play_bank import PlayBank, move_plays, tanh
 
 PLAYS = [(0.30, 60.0, 2.0), (0.22, 59.0, 3.5), (0.35, 58.0, 5.0)]
 
@@ -174,9 +173,9 @@ def test_play_bank_equals_the_play_library(inputs, radii):
     bank = PlayBank([1.0, 2.0, 0.5], radii, a, -a * (m + h), 1.2 * a, -1.2 * a * (m - h), [0.0])
     ours, theirs = np.r_[-1e6, -1.0 + np.array(radii)], np.r_[-1e6, -1.0 + np.array(radii)]
     for v in inputs:
-        tried = bank_output(v, bank.packed, ours, False)
+        tried = move_plays(v, bank.packed, ours, False)
         before = ours.copy()
-        assert bank_output(v, bank.packed, ours, True) == tried
+        assert move_plays(v, bank.packed, ours, True) == tried
         expected = egpi_step(v, bank.packed, theirs)
         assert tried == pytest.approx(expected, abs=1e-12)
         assert np.allclose(ours, theirs, rtol=0, atol=1e-14)

@@ -13,8 +13,8 @@ from vo2_models.device import (
     temperature_of_surrogate,
     truth,
 )
-from vo2_models.device.bank import PlayBank
 from vo2_models.device.description import described
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.recording import (
     COMMANDED_CURRENT,
     HEATER_CURRENT,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from vo2_models.device import PARAMETERS, DeviceModel
-from vo2_models.device.bank import PlayBank
 from vo2_models.device.model import SensorModel
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.model_file import save_model_parameters
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 

@@ -7,7 +7,6 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from vo2_models.device import DeviceModel
-from vo2_models.device.bank import PlayBank
 from vo2_models.device.coefficients import HUGE, Sensor, sensor_index
 from vo2_models.diagnosis.decide import Thresholds
 from vo2_models.diagnosis.explain import Explanation, fit_jointly, score, switched
@@ -24,6 +23,7 @@ from vo2_models.diagnosis.propagate_correction import corrected_film, propagate_
 from vo2_models.diagnosis.reading import as_commanded, between_samples, current_reading
 from vo2_models.diagnosis.tangent import Tangent
 from vo2_models.effects import effects
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.digest import CalibrationDigest
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from vo2_models.device import DeviceModel, preset
-from vo2_models.device.bank import PlayBank
 from vo2_models.diagnosis.check import Unusable, check_recording
 from vo2_models.diagnosis.decide import probabilities
 from vo2_models.diagnosis.locate import one_loop, turning_points
@@ -15,6 +14,7 @@ from vo2_models.diagnosis.noise import NoiseModel, fit_noise, level_from_differe
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.part import regular, value_step
 from vo2_models.diagnosis.result import SCHEMA, validate
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.recording import Recording
 
 ANSWER = {

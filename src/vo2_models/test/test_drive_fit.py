@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from vo2_models.device.bank import PlayBank
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.drive_fit import fit_drive, held_out
 from vo2_models.recording import Recording
 

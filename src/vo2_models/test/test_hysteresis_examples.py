@@ -12,6 +12,7 @@ from vo2_models import hysteresis
 MODULES = [
     "",
     ".compression_gpi",
+    ".domains",
     ".compressive_sensing_gpi",
     ".envelopes",
     ".fitting_gpi",

@@ -6,21 +6,20 @@ from importlib import import_module
 import pytest
 
 MODULES = [
-    "excitation",
-    "preisach",
-    "preisach.operator",
-    "preisach.signed_area",
-    "preisach.inverse",
-    "preisach.beam",
-    "preisach.compression",
-    "preisach.compressive_sensing",
-    "preisach.everett_rows",
-    "preisach.least_squares",
-    "preisach.memory",
-    "preisach.nonmonotonic",
-    "preisach.nonmonotonic_inverse",
-    "preisach.polynomial",
-    "preisach.smooth_fit",
+    "identification.excitation",
+    "hysteresis.preisach",
+    "hysteresis.preisach.operator",
+    "hysteresis.preisach.signed_area",
+    "hysteresis.preisach.inverse",
+    "hysteresis.preisach.beam",
+    "hysteresis.preisach.compression",
+    "hysteresis.preisach.compressive_sensing",
+    "hysteresis.preisach.everett_rows",
+    "hysteresis.preisach.least_squares",
+    "hysteresis.preisach.nonmonotonic",
+    "hysteresis.preisach.nonmonotonic_inverse",
+    "hysteresis.preisach.polynomial",
+    "hysteresis.preisach.smooth_fit",
 ]
 
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from vo2_models.device import truth
-from vo2_models.device.bank import PlayBank
 from vo2_models.device.surrogate import temperature_of_surrogate
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.excitation import damped_oscillation, random_levels
 from vo2_models.parameters import Parameter
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording

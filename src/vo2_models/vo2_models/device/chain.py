@@ -137,7 +137,7 @@ def _sources() -> str:
     """Digest of every file whose compiled code ends up inside `run_chain`."""
     here = Path(__file__).parent
     digest = hashlib.sha256()
-    for name in ("borrow", "coefficients", "core", "ensemble", "laws", "plays", "state"):
+    for name in ("borrow", "coefficients", "core", "ensemble", "laws", "../hysteresis/play_bank", "state"):
         digest.update((here / f"{name}.py").read_bytes())
     return digest.hexdigest()
 

@@ -16,8 +16,8 @@ import math
 
 from vo2_models.device.coefficients import Coefficient as C
 from vo2_models.device.ensemble import count_above, ensemble_peek, ensemble_step
-from vo2_models.device.plays import bank_middle, bank_output
 from vo2_models.device.state import Slot as S
+from vo2_models.hysteresis.play_bank import middle_plays, move_plays
 from vo2_models.numerics.kernel import kernel
 
 __all__ = [
@@ -66,7 +66,7 @@ def output_share(kind, which, raw, c):
 @kernel
 def _move(kind, which, v, packed, play, levels, domains, metallic, x):
     if kind == PLAYS:
-        return bank_output(v, packed, play, True)
+        return move_plays(v, packed, play, True)
     count = ensemble_step(v, x[S.PREVIOUS_R + which], which, levels, domains, metallic, x[S.COUNT_R + which])
     x[S.COUNT_R + which] = count
     x[S.PREVIOUS_R + which] = v
@@ -77,7 +77,7 @@ def _move(kind, which, v, packed, play, levels, domains, metallic, x):
 def _peek(kind, lead, v, packed, play, levels, domains, metallic, x):
     """Output of the transition `lead` after a move to v that is not made."""
     if kind == PLAYS:
-        return bank_output(v, packed, play, False)
+        return move_plays(v, packed, play, False)
     count = ensemble_peek(v, x[S.PREVIOUS_R + lead], lead, levels, domains, metallic, x[S.COUNT_R + lead])
     return count / metallic.shape[1]
 
@@ -336,8 +336,8 @@ def warm(c, x, current, h, time):
 @kernel
 def follow(c, x, effective, packed_r, packed_d, play_r, play_d):
     """Bring the transitions to an input [degC]. Where `follows` holds."""
-    x[S.RAW_R] = bank_output(effective, packed_r, play_r, True)
-    x[S.RAW_D] = bank_output(effective + c[C.TRANSITION_OFFSET], packed_d, play_d, True)
+    x[S.RAW_R] = move_plays(effective, packed_r, play_r, True)
+    x[S.RAW_D] = move_plays(effective + c[C.TRANSITION_OFFSET], packed_d, play_d, True)
     x[S.EQUILIBRIUM_R] = x[S.RAW_R]
     x[S.EQUILIBRIUM_D] = x[S.RAW_D]
     x[S.OUT_R] = x[S.RAW_R]
@@ -414,7 +414,7 @@ def _anhysteretic(kind, which, v, packed, levels):
     """Output half way between the two major branches at the temperature v."""
     if kind == ENSEMBLE:
         return 0.5 * (count_above(levels, which, 0, v) + count_above(levels, which, 1, v)) / levels.shape[2]
-    return bank_middle(v, packed)
+    return middle_plays(v, packed)
 
 
 @kernel

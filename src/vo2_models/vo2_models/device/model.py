@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vo2_models.device.bank import PlayBank, bank_parameters
 from vo2_models.device.coefficients import CHANNELS, Coefficient, Sensor, sensor_index
 from vo2_models.device.description import DeviceDescription, DeviceParameter, preset
 from vo2_models.device.simulation import PLAYS, Simulation, nominal_coefficients
 from vo2_models.device.stepper import Stepper
 from vo2_models.effects import effects as catalogue
+from vo2_models.hysteresis.laws import bank_parameters
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.model_file import load_model_parameters, save_model_parameters
 from vo2_models.parameters import Parameter, Value
 from vo2_models.recording import RESISTANCE, Recording

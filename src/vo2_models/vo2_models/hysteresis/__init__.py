@@ -1,17 +1,17 @@
-"""Hysteresis operators of the play (Prandtl-Ishlinskii) family, their inverses, identification and compression.
+"""Hysteresis laws behind one protocol (`law.Law`), their inverses, identification and compression.
 
-Models        `Play`, `CPI`, `GPI`, `EGPI`; envelopes `TanhEnvelopes`, `LinearEnvelopes`, `TabulatedEnvelopes`; memoryless
-              parts `Zero`, `Linear`, `Polynomial`, `Sine`, `Cosine`, `Tanh`, `MemorylessSum`
-Inverses      `RobustInverse` (any model, every reachable output), `AnalyticInverse`, `inverse_cpi`, `FixedPointInverse`
-              with `convergence_condition`
-From data     `fit_play_model`; `identify_play_weights` (compressive sensing)
+Laws          by name in `LAWS`: `PlayBank`, `CPI`, `GPI`, `EGPI`, `PreisachOperator`, `NonMonotonicPreisach`,
+              `DomainEnsemble`; of a model file by `law_from_parameters`
+Plays         envelopes `TanhEnvelopes`, `LinearEnvelopes`, `TabulatedEnvelopes`; memoryless parts `Zero`, `Linear`,
+              `Polynomial`, `Sine`, `Cosine`, `Tanh`, `MemorylessSum`
+Inverses      `law.inverse(input_range)`; `RobustInverse` (any play model, every reachable output), `AnalyticInverse`,
+              `inverse_cpi`, `FixedPointInverse` with `convergence_condition`, `LawInverse` (any law, by bisection)
+From data     `fit_play_model`; `identify_play_weights` (compressive sensing); `preisach`
 Smaller       `compress`, `partition` (entropy-optimal)
-Compiled use  `kernels.egpi_step(v, model.packed, state)` and `inverse_kernels.invert_step(u, inverse.packed, state)` on
-              plain arrays, for other compiled loops
+Compiled use  `type(law).move(u, law.packed, memory, make)`, one signature for every law
 
-A model is frozen; its memory is a float64 array that the caller owns, copies and saves: present input, then
-the outputs of the plays; one row per device where there are many. Names are loaded on first use, so that importing
-the package does not load the compiler.
+A law is frozen; its memory is a float64 array that the caller owns, copies and saves. Names are loaded on first use, so
+that importing the package does not load the compiler.
 
 >>> from vo2_models.hysteresis import GPI, TanhEnvelopes
 >>> model = GPI(radii=[0.0, 0.5], weights=[1.0, 2.0], envelopes=TanhEnvelopes(1.0, -0.5, 1.0, 0.5))
@@ -24,6 +24,15 @@ from importlib import import_module
 from typing import Any
 
 _HOME = {
+    "LAWS": "laws",
+    "law_from_parameters": "laws",
+    "Inversion": "law",
+    "Law": "law",
+    "LawInverse": "law",
+    "DomainEnsemble": "domains",
+    "NonMonotonicPreisach": "preisach.nonmonotonic",
+    "PlayBank": "play_bank",
+    "PreisachOperator": "preisach.operator",
     "LinearEnvelopes": "envelopes",
     "TabulatedEnvelopes": "envelopes",
     "TanhEnvelopes": "envelopes",

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.hysteresis import excursion_kernels, inverse_kernels, layout
+from vo2_models.hysteresis.law import Inversion
 from vo2_models.hysteresis.prandtl_ishlinskii import PlayModel
 from vo2_models.validation import finite_array
 
@@ -25,14 +26,6 @@ FloatArray = NDArray[np.float64]
 SOLVER_TOLERANCE = 1e-12
 REACHED_TOLERANCE = 1e-9
 """Both relative to the output range; rounding of the weighted sum is about 1e-15 of it."""
-
-
-class Inversion(NamedTuple):
-    """One inverted sample: input, the output it gives, and whether that is the output asked for."""
-
-    input: float
-    output: float
-    reached: bool
 
 
 class Plan(NamedTuple):

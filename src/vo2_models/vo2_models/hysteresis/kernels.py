@@ -219,7 +219,7 @@ def _follow_levels(directions, levels, radii, weights, memory, out):
 
 
 @summing
-def _run(v, packed, state, out):
+def sweep_egpi(v, packed, state, out):
     """Run one device: v (n,) -> out (n,); the state (1+N,) is updated in place."""
     n = int(packed[0])
     kind = int(packed[1])
@@ -308,10 +308,16 @@ def egpi_peek(v, packed, state):
 
 
 @summing
+def move_egpi(v, packed, memory, make):
+    """The law's compiled step, see `hysteresis.law`: `egpi_step`, or `egpi_peek` where the move is not made."""
+    return egpi_step(v, packed, memory if make else memory.copy())
+
+
+@summing
 def simulate_many(packed, v, state, out):
     """Run m independent devices: v (m, n) -> out (m, n); state (m, 1+N) holds the initial and then the final one."""
     for i in range(v.shape[0]):
-        _run(v[i], packed, state[i], out[i])
+        sweep_egpi(v[i], packed, state[i], out[i])
 
 
 @summing

@@ -9,15 +9,18 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.hysteresis import kernels
 from vo2_models.hysteresis.envelopes import Envelopes, LinearEnvelopes
-from vo2_models.hysteresis.layout import Numbers
+from vo2_models.hysteresis.law import Inverse, Law, Saturation
+from vo2_models.hysteresis.layout import POLYNOMIAL, TANH, Numbers
 from vo2_models.hysteresis.memoryless import Memoryless, Zero
+from vo2_models.hysteresis.play_bank import PlayBank
+from vo2_models.parameters import Value
 from vo2_models.validation import finite_array, nonnegative
 
 __all__ = ["CPI", "EGPI", "GPI", "OrderWarning", "PlayModel"]
@@ -34,8 +37,12 @@ class OrderWarning(UserWarning):
     """The envelopes cross within the inputs in use, so the play does not preserve order."""
 
 
-class PlayModel:
-    """What the three models have in common; not for use by itself."""
+class PlayModel(Law):
+    """What the three models have in common; not for use by itself. The memoryless part is in the compiled step."""
+
+    move = staticmethod(kernels.move_egpi)
+    sweep = staticmethod(kernels.sweep_egpi)
+    described: ClassVar = PlayBank.described
 
     radii: Numbers
     weights: Numbers
@@ -93,6 +100,51 @@ class PlayModel:
     def plays(self) -> int:
         """Number of plays N."""
         return int(self.radii.size)
+
+    @property
+    def memory_size(self) -> int:
+        """Length of the memory: present input and the outputs of the plays."""
+        return 1 + self.plays
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Weighted sum of the plays, with the bias, in both saturations; infinite for envelopes without limit."""
+        lower, upper = self.initial_state("lower"), self.initial_state("upper")
+        return self.bias + float(lower[1:] @ self.weights), self.bias + float(upper[1:] @ self.weights)
+
+    def initial_memory(self, saturation: Saturation = "lower") -> FloatArray:
+        """Return the memory (memory_size,) far in saturation."""
+        return self.initial_state(saturation)
+
+    def inverse(self, input_range: tuple[float, float] | None = None) -> Inverse:
+        """Return the inverse over inputs (low, high); None takes the model's."""
+        from vo2_models.hysteresis.inverse_robust import RobustInverse
+
+        return RobustInverse(self, input_range)
+
+    def bank(self) -> PlayBank:
+        """Return the model as a bank of plays, the form of model files.
+
+        Raises
+        ------
+        ValueError : envelopes other than tanh, or a memoryless part other than a polynomial.
+        """
+        terms = self.memoryless.terms()
+        kind, stride, numbers = self.envelopes.packed()
+        if kind != TANH or any(int(term[0]) != POLYNOMIAL for term in terms):
+            raise ValueError(
+                f"model: found {type(self.envelopes).__name__} and {type(self.memoryless).__name__}, need tanh "
+                "envelopes and a polynomial for a bank of plays"
+            )
+        pairs = np.broadcast_to(numbers.reshape(2 * stride, -1), (2 * stride, self.plays))
+        polynomial = np.polynomial.Polynomial([self.bias])
+        for term in terms:
+            polynomial += np.polynomial.Polynomial(term[2:])
+        return PlayBank(self.weights, self.radii, pairs[0], pairs[1], pairs[2], pairs[3], polynomial.coef)
+
+    def to_parameters(self, section: str) -> dict[str, Value]:
+        """Return the flat parameters of `bank`."""
+        return self.bank().to_parameters(section)
 
     def order_excess(self, low: float, high: float) -> tuple[float, float, int]:
         """Return the largest gamma_R(v) - gamma_L(v) - 2 r on [low, high], its input, and the play.
@@ -274,6 +326,8 @@ class CPI(PlayModel):
     [0.0, 5.0, 4.0, 1.0]
     """
 
+    name = "cpi"
+
     radii: Numbers
     weights: Numbers
     bias: float = 0.0
@@ -301,6 +355,8 @@ class GPI(PlayModel):
     on_disorder : "refuse" (ValueError), "warn" (`OrderWarning`) or "accept" envelopes that cross where the
         inputs are, so that gamma_R(v) - r > gamma_L(v) + r (errata on B.6)
     """
+
+    name = "gpi"
 
     radii: Numbers
     weights: Numbers
@@ -334,6 +390,8 @@ class EGPI(PlayModel):
     >>> model.output(state), round(model.update(1.0, state), 4)
     (5.0, 12.5015)
     """
+
+    name = "egpi"
 
     radii: Numbers
     weights: Numbers

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from vo2_models.device.bank import PlayBank
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.levenberg_marquardt import levenberg_marquardt
 from vo2_models.identification.sensitivity import play_sensitivities
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from vo2_models.device.bank import PlayBank
 from vo2_models.device.description import preset
 from vo2_models.device.model import DeviceModel, SensorModel
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.bank_fit import evaluate
 from vo2_models.identification.bank_uncertainty import bank_uncertainty
 from vo2_models.identification.grid import GriddedRecording, on_grid

@@ -13,8 +13,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.device.bank import PlayBank
-from vo2_models.hysteresis import EGPI
 from vo2_models.hysteresis.fitting_gpi import fit_play_model
 from vo2_models.parameters import Value
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
@@ -80,23 +78,7 @@ def fit_drive(
             y = -np.log10(np.where(y > 0, y, np.nan))
         usable = seen & np.isfinite(y)
         fit = fit_play_model(v[usable], y[usable], plays=plays, memoryless="quadratic", per_play=per_play)
-        found |= _bank(fit.model).to_parameters(section)
+        found |= fit.model.to_parameters(section)
     if not found:
         raise ValueError(f"recording: found neither {RESISTANCE} nor {TIP_DEFLECTION}, need one of them")
     return found
-
-
-def _bank(model: EGPI) -> PlayBank:
-    """Return a fitted model in the model file's form: one envelope pair a play, bias in the polynomial."""
-    envelopes, count = model.envelopes, np.size(model.weights)
-    polynomial = np.array(model.memoryless.coefficients, dtype=np.float64)
-    polynomial[0] += model.bias
-    return PlayBank(
-        weights=model.weights,
-        radii=model.radii,
-        rising_slopes=np.broadcast_to(envelopes.rising_slope, count),
-        rising_offsets=np.broadcast_to(envelopes.rising_offset, count),
-        falling_slopes=np.broadcast_to(envelopes.falling_slope, count),
-        falling_offsets=np.broadcast_to(envelopes.falling_offset, count),
-        polynomial=polynomial,
-    )

@@ -16,12 +16,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.device.bank import PlayBank
 from vo2_models.device.coefficients import CHANNELS
 from vo2_models.device.model import SCALARS, DeviceModel
 from vo2_models.device.simulation import Simulation
 from vo2_models.device.state import ChainState
 from vo2_models.effects import effect
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.bank_fit import BankShape
 from vo2_models.identification.grid import GriddedRecording
 from vo2_models.identification.levenberg_marquardt import LeastSquares, levenberg_marquardt

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device import surrogate_of_temperature
-from vo2_models.device.bank import PlayBank
 from vo2_models.device.description import preset
 from vo2_models.hysteresis import EGPI, RobustInverse
 from vo2_models.hysteresis.inverse_kernels import invert_update
 from vo2_models.hysteresis.kernels import egpi_step
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.numerics.kernel import kernel
 from vo2_models.parameters import Value
 from vo2_models.self_sensing.bounds import bound_table, table_at

@@ -15,8 +15,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.device.bank import PlayBank
 from vo2_models.device.model import DeviceModel
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.bank_fit import BankShape, evaluate, fit_bank, starting_shape
 from vo2_models.identification.grid import on_grid
 from vo2_models.identification.loops_fit import SECTIONS, film_path

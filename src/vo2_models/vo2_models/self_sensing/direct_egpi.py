@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vo2_models.device.bank import PlayBank
 from vo2_models.hysteresis import EGPI
 from vo2_models.hysteresis.kernels import egpi_step
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.bank_fit import fit_bank, starting_shape
 from vo2_models.numerics.kernel import kernel
 from vo2_models.parameters import Value

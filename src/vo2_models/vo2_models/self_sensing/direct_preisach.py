@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.hysteresis.preisach import PreisachOperator
 from vo2_models.hysteresis.preisach.grid import cell_areas, cell_count, pack
-from vo2_models.hysteresis.preisach.memory import PreisachState
 from vo2_models.hysteresis.preisach.nnls import nonnegative_least_squares
 from vo2_models.hysteresis.preisach.signed_area import signed_area_matrix
 from vo2_models.parameters import Value
@@ -38,8 +37,6 @@ _RIDGE = 1e-5
 _QUANTILES, _EVEN_FROM = 0.65, 14.0
 """Share of equally many samples in the spacing of the walls, the rest even: the first number up to level 21, then
 the second over the level, as a fine grid needs it less. Chosen on simulated devices of seeds 900000 to 900007."""
-_TURNING_POINTS = 4096
-"""Room for the memory; each needs 16 bytes. Noise of one level never nests so deep."""
 
 
 def walls_of(inputs: Floats, level: int) -> Floats:
@@ -132,12 +129,9 @@ class DirectPreisachSelfSensing(SelfSensing):
         return {f"{SECTION}.preisach.{name}": getattr(self, name).tolist() for name in names}
 
     def initial_state(self) -> Floats:
-        first = self._operator.saturated().array
-        state = np.zeros(first.size + 2 * _TURNING_POINTS)
-        state[: first.size] = first
-        return state
+        return self._operator.initial_memory()
 
     def step(self, resistance: float, state: Floats) -> tuple[float, float, float, float]:
         smooth = polynomial_step(resistance, self.domain, self.coefficients, self.table)[0]
-        hysteretic = self._operator.update(scaled_one(resistance, self.domain), PreisachState(state))
+        hysteretic = self._operator.step(scaled_one(resistance, self.domain), state)
         return smooth + hysteretic, math.nan, math.nan, table_at(self.table, math.log10(resistance))

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.device.bank import PlayBank
 from vo2_models.device.mode import mode_step
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.bank_fit import BankShape
 from vo2_models.numerics.kernel import kernel
 from vo2_models.parameters import Value

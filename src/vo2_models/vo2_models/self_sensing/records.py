@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vo2_models.device.bank import bank_parameters
+from vo2_models.hysteresis.laws import bank_parameters
 from vo2_models.parameters import Parameter
 
 __all__ = ["BOUND_KNOTS", "COMPOSITE", "KINDS", "MODE", "PARAMETERS", "SECTION"]

@@ -116,18 +116,18 @@ def level_ratio() -> Figure:
 def stream() -> Figure:
     """One sample of a level-100 operator from Python."""
     operator = _operator(100)
-    state = operator.saturated()
+    state = operator.initial_memory()
     values = _inputs(200_000)[::40].tolist()
-    return Figure(per_call(lambda v: operator.update(v, state), values) * 1e6, "us")
+    return Figure(per_call(lambda v: operator.step(v, state), values) * 1e6, "us")
 
 
 def inverse() -> Figure:
     """One desired output of a level-100 operator to its input, from Python; outputs at random, far apart."""
     operator = _operator(100)
-    solver, state = PreisachInverse(operator), operator.saturated()
+    solver, state = PreisachInverse(operator), operator.initial_memory()
     low, high = operator.output_range
     wishes = np.random.default_rng(0).uniform(low, high, 4000)
-    v, reached = solver.run(wishes, operator.saturated())
+    v, reached = solver.run(wishes, operator.initial_memory())
     residual = float(np.max(np.abs(operator(v) - wishes)) / (high - low))
     if not (reached.all() and residual <= 1e-9):
         raise RuntimeError(f"inverse: found a residual of {residual:.1e} of the range, need at most 1e-9")

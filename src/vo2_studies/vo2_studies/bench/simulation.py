@@ -5,11 +5,11 @@ from __future__ import annotations
 from time import perf_counter
 
 import numpy as np
-from vo2_models.device.bank import PlayBank
 from vo2_models.device.description import preset
 from vo2_models.device.ground_truth import truth
 from vo2_models.device.model import DeviceModel
 from vo2_models.device.simulation import Simulation
+from vo2_models.hysteresis.play_bank import PlayBank
 
 from vo2_studies.bench.entry import Entry, Figure
 

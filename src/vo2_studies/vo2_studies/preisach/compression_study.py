@@ -86,7 +86,7 @@ def compression_study(*, level: int = 4, densities: int = 20, seed: int = 0) -> 
             prediction[name] += (
                 float(np.max(np.abs(found.operator(temperature) - truth(temperature)))) / densities
             )
-            v, _ = PreisachInverse(found.operator).run(wanted, found.operator.saturated())
+            v, _ = PreisachInverse(found.operator).run(wanted, found.operator.initial_memory())
             inverse[name] += float(np.max(np.abs(truth(v) - wanted))) / densities
     return CompressionStudy(prediction, inverse, partitions)
 

@@ -99,7 +99,7 @@ def nonmonotonic_study(*, devices: int = 5, seed: int = 0, targets: int = 150) -
 
         inverse = NonMonotonicInverse(proposed)
         wanted = rng.uniform(inverse.minimum[1], inverse.maximum[1], targets)
-        state = proposed.operator.saturated()
+        state = proposed.operator.initial_memory()
         steps = [inverse.update(float(k), state).temperatures for k in wanted]
         most = max(most, *(len(step) for step in steps))
         arrival = np.cumsum([len(step) for step in steps])

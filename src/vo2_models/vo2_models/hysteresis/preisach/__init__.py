@@ -1,6 +1,6 @@
 """The Preisach family: operator, inverses, identification, compressive sensing, compression.
 
-- `operator`, `memory`, `grid`: the operator with piecewise-constant density, its state, its cells;
+- `operator`, `grid`: the operator with piecewise-constant density, its cells;
   `kernels` holds the compiled step, for other compiled loops
 - `inverse`: the exact inverse of a monotone operator
 - `nonmonotonic`, `nonmonotonic_inverse`, `beam`, `polynomial`: chapter 5
@@ -22,7 +22,7 @@ Nothing is loaded before it is used:
 >>> found = fit_preisach(temperature, device(temperature), walls)
 >>> bool(np.max(np.abs(found.operator.density - device.density)) < 1e-12)
 True
->>> drive, state = PreisachInverse(found.operator), found.operator.saturated()
+>>> drive, state = PreisachInverse(found.operator), found.operator.initial_memory()
 >>> degc, reached = drive.update(2.0, state)
 >>> round(degc, 3), reached
 (65.355, True)
@@ -38,7 +38,6 @@ _HOME = {
     "PreisachFit": "least_squares",
     "PreisachInverse": "inverse",
     "PreisachOperator": "operator",
-    "PreisachState": "memory",
     "compress": "compression",
     "fit_nonmonotonic": "nonmonotonic",
     "fit_polynomial": "polynomial",

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vo2_models.hysteresis.law import REACHED, Inversion
 from vo2_models.hysteresis.preisach.kernels import HEADER, cell_polynomial, leg_start, locate, step
-from vo2_models.hysteresis.preisach.memory import PreisachState
 from vo2_models.hysteresis.preisach.operator import PreisachOperator
 from vo2_models.numerics.kernel import kernel
 from vo2_models.validation import finite_array
@@ -17,13 +17,10 @@ __all__ = ["PreisachInverse"]
 
 Floats = NDArray[np.float64]
 
-RESIDUAL = 1e-9
-"""An output counts as reached if it is met within this share of the output range."""
-
 
 @kernel
 def invert(target, state, table, walls, half, buckets, scale):
-    """Return the input that leads from `state` to output `target`, and move the state there; NaN if it is full.
+    """Return the input that leads from `state` to output `target`, and move the state there; NaN for NaN.
 
     The stored outputs of the turning points say which corners are wiped out on the way, a bisection over the
     walls finds the cell, and in it a quadratic is solved. An unreachable target ends in saturation.
@@ -77,19 +74,16 @@ def invert(target, state, table, walls, half, buckets, scale):
     move = 2.0 * missing / root if missing > 0.0 and root > 0.0 else 0.0
     v = walls[p] + min(max(start + sign * move, 0.0), width)
     v = max(v, now) if rises else min(v, now)
-    u = step(v, state, table, walls, half, buckets, scale)
-    return v if u == u else np.nan
+    step(v, state, table, walls, half, buckets, scale)
+    return v
 
 
 @kernel
-def invert_run(u, v, reached, first, tolerance, state, table, walls, half, buckets, scale):
-    """`invert` along a sequence; return how far it came (`u.size`, unless the state is full)."""
-    for k in range(first, u.size):
+def invert_run(u, v, reached, tolerance, state, table, walls, half, buckets, scale):
+    """`invert` along a sequence."""
+    for k in range(u.size):
         v[k] = invert(u[k], state, table, walls, half, buckets, scale)
-        if v[k] != v[k]:
-            return k
         reached[k] = abs(state[2] - u[k]) <= tolerance
-    return u.size
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +104,7 @@ class PreisachInverse:
     Examples
     --------
     >>> operator = PreisachOperator([0.0, 1.0, 2.0], [[1.0, 0.0], [2.0, 1.0]])
-    >>> inverse, state = PreisachInverse(operator), operator.saturated()
+    >>> inverse, state = PreisachInverse(operator), operator.initial_memory()
     >>> inverse.update(-2.0, state), inverse.update(-2.25, state), inverse.update(9.0, state)
     ((1.0, True), (0.5, True), (2.0, False))
     """
@@ -124,25 +118,27 @@ class PreisachInverse:
             i, j = (int(k) for k in np.argwhere(density < 0)[0])
             raise ValueError(f"operator: found density {density[i, j]:g} at {(i, j)}, need densities >= 0")
         low, high = self.operator.output_range
-        object.__setattr__(self, "_tolerance", RESIDUAL * (high - low))
+        object.__setattr__(self, "_tolerance", REACHED * (high - low))
 
-    def update(self, u: float, state: PreisachState) -> tuple[float, bool]:
-        """Return the input for output `u` and whether it is reached; `state` moves along.
+    def update(self, u: float, memory: Floats) -> tuple[float, bool]:
+        """Return the input for output `u` and whether it is reached; `memory` moves along.
 
         Raises
         ------
         ValueError : `u` is NaN.
         """
-        v = invert(float(u), state.array, *self.operator.compiled)
+        v = invert(float(u), memory, *self.operator.compiled)
         if v != v:
-            if u != u:
-                raise ValueError("u: found nan, need a number; hold the last output or skip the sample")
-            state.enlarge()
-            return self.update(u, state)
-        return v, bool(abs(state.array[2] - u) <= self._tolerance)
+            raise ValueError("u: found nan, need a number; hold the last output or skip the sample")
+        return v, bool(abs(memory[2] - u) <= self._tolerance)
 
-    def run(self, u: ArrayLike, state: PreisachState) -> tuple[Floats, NDArray[np.bool_]]:
-        """Return the inputs (n,) for the outputs `u` (n,) and which are reached; `state` moves along.
+    def invert(self, output: float, memory: Floats) -> Inversion:
+        """`update` as every law's inverse gives it."""
+        v, reached = self.update(output, memory)
+        return Inversion(v, float(memory[2]), reached)
+
+    def run(self, u: ArrayLike, memory: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return the inputs (n,) for the outputs `u` (n,) and which are reached; `memory` moves along.
 
         Raises
         ------
@@ -151,11 +147,5 @@ class PreisachInverse:
         outputs = finite_array(u, "u")
         v = np.empty_like(outputs)
         reached = np.zeros(outputs.size, dtype=np.bool_)
-        done = 0
-        while True:
-            done = invert_run(
-                outputs, v, reached, done, self._tolerance, state.array, *self.operator.compiled
-            )
-            if done == outputs.size:
-                return v, reached
-            state.enlarge()
+        invert_run(outputs, v, reached, self._tolerance, memory, *self.operator.compiled)
+        return v, reached

@@ -9,9 +9,13 @@ State array: `[n, v, u, v_0, u_0, v_1, u_1, ...]`: the number of turning points,
 the grid) and output, then the turning points from the outermost inwards. Point 0 is the lowest wall
 (negative saturation); odd n means a rising leg, even n a falling one.
 
+A state has room for a fixed number of turning points. When it is full, the smallest loop inside the others is
+forgotten: with room for two turning points per wall that loop lies within one cell.
+
 Operator arguments, in this order (`PreisachOperator.compiled`): `table` (L + 1, L + 1) from
 `grid.everett_table`, `walls` (L + 1,), `half` (L,) half the density of the diagonal triangles, `buckets`
-(B,) first guess of the cell, `scale` = B / (walls[-1] - walls[0]).
+(B,) first guess of the cell, `scale` = B / (walls[-1] - walls[0]). `packed` is all of them in one vector:
+`[L, B, scale, walls, half, buckets, table]`.
 """
 
 from __future__ import annotations
@@ -25,14 +29,34 @@ __all__ = [
     "cell_polynomial",
     "leg_start",
     "locate",
+    "move_preisach",
     "run",
     "run_devices",
     "step",
     "turn_and_wipe",
+    "unpacked",
 ]
 
 HEADER = 3
 """Elements of a state array before the turning points."""
+PACKED_HEADER = 3
+"""Elements of a packed operator before its arrays."""
+
+
+@kernel(inline="always")
+def unpacked(packed):
+    """Return table, walls, half, buckets, scale of a packed operator, as views."""
+    level = int(packed[0])
+    nodes = PACKED_HEADER + level + 1
+    guesses = nodes + level
+    table = guesses + int(packed[1])
+    return (
+        packed[table:].reshape((level + 1, level + 1)),
+        packed[PACKED_HEADER:nodes],
+        packed[nodes:guesses],
+        packed[guesses:table],
+        packed[2],
+    )
 
 
 @kernel(inline="always")
@@ -40,8 +64,8 @@ def locate(v, walls, buckets, scale):
     """Return the cell that holds `v`, which must lie on the grid."""
     last = walls.size - 2
     k = min(int((v - walls[0]) * scale), buckets.size - 1)
-    cell = buckets[k]
-    upper = buckets[k + 1] if k + 1 < buckets.size else last
+    cell = int(buckets[k])
+    upper = int(buckets[k + 1]) if k + 1 < buckets.size else last
     while upper - cell > 4:  # a strongly non-uniform grid: many cells in one bucket
         middle = (cell + upper) // 2
         if walls[middle] <= v:
@@ -92,58 +116,96 @@ def cell_polynomial(sign, base_u, q, share, parabola, p, table, walls, half):
     return _polynomial(sign, base_u, left, right, parabola, p, walls, half)
 
 
-@kernel
-def turn_and_wipe(v, state, walls):
-    """Push the turning point if `v` reverses, wipe out what it passes, and return n; -1 if there is no room."""
+@kernel(inline="always")
+def _leg_of(v, state, walls):
+    """Return how many turning points are left after a move to `v`, and whether the last is the present input."""
     n = int(state[0])
     rises = v > state[1]
-    if rises != (n % 2 == 1):
-        if HEADER + 2 * n + 2 > state.size:
-            return -1
-        state[HEADER + 2 * n] = state[1]
-        state[HEADER + 2 * n + 1] = state[2]
+    turns = rises != (n % 2 == 1)
+    if turns:
         n += 1
+    left = n
     if rises:
-        while n >= 3 and v >= state[HEADER + 2 * (n - 2)]:
-            n -= 2
+        while left >= 3 and v >= state[HEADER + 2 * (left - 2)]:
+            left -= 2
     else:
-        while n >= 4 and v <= state[HEADER + 2 * (n - 2)]:
+        while left >= 4 and v <= state[HEADER + 2 * (left - 2)]:
+            left -= 2
+        if left == 2 and v <= walls[0]:
+            left = 1
+    return left, turns and left == n
+
+
+@kernel
+def _forget_smallest(state, n):
+    """Take the smallest loop between neighbouring turning points out of the first n of them."""
+    smallest = 1
+    for k in range(2, n - 1):
+        this = abs(state[HEADER + 2 * (k + 1)] - state[HEADER + 2 * k])
+        if this < abs(state[HEADER + 2 * (smallest + 1)] - state[HEADER + 2 * smallest]):
+            smallest = k
+    for k in range(HEADER + 2 * smallest, HEADER + 2 * (n - 2)):
+        state[k] = state[k + 4]
+
+
+@kernel
+def turn_and_wipe(v, state, walls):
+    """Push the turning point if `v` reverses, wipe out what it passes, and return how many there are."""
+    n, turned = _leg_of(v, state, walls)
+    if turned:
+        if HEADER + 2 * n > state.size:
+            _forget_smallest(state, n - 1)
             n -= 2
-        if n == 2 and v <= walls[0]:
-            n = 1
+        state[HEADER + 2 * (n - 1)] = state[1]
+        state[HEADER + 2 * (n - 1) + 1] = state[2]
     state[0] = n
     return n
 
 
 @kernel
-def step(v, state, table, walls, half, buckets, scale):
-    """Apply one input and return the output; `state` changes in place.
-
-    Returns NaN, with the state unchanged, for a NaN input or a state without room: a caller in Python tells
-    the two apart and enlarges the state (`PreisachOperator.update`).
-    """
+def step(v, state, table, walls, half, buckets, scale, make=True):
+    """Apply one input and return the output; `state` changes in place where `make` is true. NaN for a NaN input."""
     if v != v:
         return np.nan
     v = min(max(v, walls[0]), walls[-1])
     if v == state[1]:
         return state[2]
-    n = turn_and_wipe(v, state, walls)
-    if n < 0:
-        return np.nan
-    base = HEADER + 2 * (n - 1)
-    q, share, parabola = leg_start(state[base], walls, half, buckets, scale)
+    n, turned = _leg_of(v, state, walls)
+    base_v = state[1]
+    base_u = state[2]
+    if not turned:
+        base_v = state[HEADER + 2 * (n - 1)]
+        base_u = state[HEADER + 2 * (n - 1) + 1]
+    q, share, parabola = leg_start(base_v, walls, half, buckets, scale)
     p = locate(v, walls, buckets, scale)
     sign = 1.0 if n % 2 == 1 else -1.0
-    c0, c1, c2 = cell_polynomial(sign, state[base + 1], q, share, parabola, p, table, walls, half)
+    c0, c1, c2 = cell_polynomial(sign, base_u, q, share, parabola, p, table, walls, half)
     t = v - walls[p]
-    state[1] = v
-    state[2] = c0 + t * (c1 + t * c2)
-    return state[2]
+    u = c0 + t * (c1 + t * c2)
+    if make:
+        turn_and_wipe(v, state, walls)
+        state[1] = v
+        state[2] = u
+    return u
 
 
 @kernel
-def run(v, out, first, state, table, walls, half, buckets, scale):
-    """Apply `v[first:]`, write `out[first:]`, and return how far it came (`v.size`, unless the state is full).
+def move_preisach(v, packed, memory, make):
+    """`step` of a packed operator: the law's compiled step, see `hysteresis.law`."""
+    table, walls, half, buckets, scale = unpacked(packed)
+    return step(v, memory, table, walls, half, buckets, scale, make)
+
+
+@kernel
+def sweep_preisach(v, packed, memory, out):
+    """`run` of a packed operator."""
+    table, walls, half, buckets, scale = unpacked(packed)
+    run(v, out, memory, table, walls, half, buckets, scale)
+
+
+@kernel
+def run(v, out, state, table, walls, half, buckets, scale):
+    """Apply the inputs `v` and write `out`; `state` changes in place.
 
     As long as the input neither turns nor crosses a wall, the same polynomial holds; as long as it neither
     turns nor wipes out a corner, the next cell's follows from two more nodes of the table.
@@ -168,7 +230,7 @@ def run(v, out, first, state, table, walls, half, buckets, scale):
     begin = np.inf  # the cell's ends; none yet, so the first sample goes the long way
     end = -np.inf
     corner = -np.inf
-    for k in range(first, v.size):
+    for k in range(v.size):
         x = min(max(v[k], low), high)
         if x == now:
             out[k] = u
@@ -177,8 +239,6 @@ def run(v, out, first, state, table, walls, half, buckets, scale):
             state[1] = now
             state[2] = u
             n = turn_and_wipe(x, state, walls)
-            if n < 0:
-                return k
             up = n % 2 == 1
             sign = 1.0 if up else -1.0
             base = HEADER + 2 * (n - 1)
@@ -206,16 +266,10 @@ def run(v, out, first, state, table, walls, half, buckets, scale):
         now = x
     state[1] = now
     state[2] = u
-    return v.size
 
 
 @kernel
-def run_devices(v, out, done, state, table, walls, half, buckets, scale):
-    """`run` for each row of `v` (devices, n) with its row of `state`; `done` (devices,) says how far each came."""
-    complete = True
+def run_devices(v, out, state, table, walls, half, buckets, scale):
+    """`run` for each row of `v` (devices, n) with its row of `state`."""
     for device in range(v.shape[0]):
-        done[device] = run(
-            v[device], out[device], done[device], state[device], table, walls, half, buckets, scale
-        )
-        complete = complete and done[device] == v.shape[1]
-    return complete
+        run(v[device], out[device], state[device], table, walls, half, buckets, scale)

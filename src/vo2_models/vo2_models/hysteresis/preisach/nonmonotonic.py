@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vo2_models.hysteresis.law import Inverse, Law, Saturation
 from vo2_models.hysteresis.preisach.grid import cell_count, checked_walls
-from vo2_models.hysteresis.preisach.memory import PreisachState
+from vo2_models.hysteresis.preisach.kernels import move_preisach, sweep_preisach
 from vo2_models.hysteresis.preisach.nnls import RankDeficientError, nonnegative_least_squares
 from vo2_models.hysteresis.preisach.operator import PreisachOperator
 from vo2_models.hysteresis.preisach.signed_area import signed_area_matrix
+from vo2_models.numerics.kernel import kernel
+from vo2_models.parameters import Value
 from vo2_models.validation import finite_array
 
 __all__ = ["NonMonotonicPreisach", "fit_nonmonotonic", "phase_fraction"]
@@ -24,8 +30,33 @@ def phase_fraction(temperature: Floats, low: float, high: float) -> Floats:
     return np.clip((temperature - low) / (high - low), 0.0, 1.0)
 
 
+EXPANSION = 5
+"""Elements of a packed model before its operator: k0, k1, reference, low, high."""
+
+
+@kernel
+def expansion(t, packed):
+    """kappa_E of (5.7) at the temperature t [degC]."""
+    theta = min(max((t - packed[3]) / (packed[4] - packed[3]), 0.0), 1.0)
+    return -(packed[0] * (1.0 - theta) + packed[1] * theta) * (t - packed[2])
+
+
+@kernel
+def move_nonmonotonic(t, packed, memory, make):
+    """Compiled step of the law: `packed` as `NonMonotonicPreisach.packed`, the memory of its operator."""
+    return move_preisach(t, packed[EXPANSION:], memory, make) + expansion(t, packed)
+
+
+@kernel
+def sweep_nonmonotonic(t, packed, memory, out):
+    """`move_nonmonotonic` along the temperatures t (n,)."""
+    sweep_preisach(t, packed[EXPANSION:], memory, out)
+    for k in range(t.size):
+        out[k] += expansion(t[k], packed)
+
+
 @dataclass(frozen=True, eq=False)
-class NonMonotonicPreisach:
+class NonMonotonicPreisach(Law):
     """kappa = Gamma[T] - (k0 (1 - theta(T)) + k1 theta(T)) (T - T0): (5.8), with the sign of (5.7).
 
     The bias c_0 is the operator's. The printed (5.8) has a plus before k1; (5.7) and (5.12) have the minus that
@@ -33,7 +64,7 @@ class NonMonotonicPreisach:
 
     Parameters
     ----------
-    operator : Gamma; the state is its state
+    operator : Gamma; the memory is its memory
     k0, k1 : expansion of the low- and high-temperature phase [output unit / K]
     reference : T0, where the expansion is zero [degC]
 
@@ -41,10 +72,20 @@ class NonMonotonicPreisach:
     --------
     >>> operator = PreisachOperator([30.0, 50.0, 70.0], np.full(3, 0.5))
     >>> model = NonMonotonicPreisach(operator, k0=2.0, k1=4.0)
-    >>> state = operator.saturated()
-    >>> [model.update(t, state) for t in (25.0, 70.0, 90.0, 50.0)]
+    >>> memory = model.initial_memory()
+    >>> [model.step(t, memory) for t in (25.0, 70.0, 90.0, 50.0)]
     [-410.0, 200.0, 120.0, 110.0]
     """
+
+    name = "nonmonotonic"
+    move = staticmethod(move_nonmonotonic)
+    sweep = staticmethod(sweep_nonmonotonic)
+    described: ClassVar = {
+        **PreisachOperator.described,
+        "k0": ("{y}/{u}", "expansion of the low-temperature phase"),
+        "k1": ("{y}/{u}", "expansion of the high-temperature phase"),
+        "reference": ("{u}", "temperature of no expansion"),
+    }
 
     operator: PreisachOperator
     k0: float
@@ -73,25 +114,60 @@ class NonMonotonicPreisach:
         theta = phase_fraction(t, *self.operator.walls[[0, -1]])
         return -(self.k0 * (1 - theta) + self.k1 * theta) * (t - self.reference)
 
-    def update(self, temperature: float, state: PreisachState) -> float:
-        """Apply one temperature [degC] and return the output; `state` changes in place."""
-        low, high = self.operator.walls[0], self.operator.walls[-1]
-        theta = min(max((temperature - low) / (high - low), 0.0), 1.0)
-        expansion = -(self.k0 * (1 - theta) + self.k1 * theta) * (temperature - self.reference)
-        return float(self.operator.update(temperature, state) + expansion)
+    @cached_property
+    def packed(self) -> Floats:
+        """[k0, k1, reference, low, high] and the packed operator."""
+        low, high = self.operator.walls[[0, -1]]
+        return np.concatenate([[self.k0, self.k1, self.reference, low, high], self.operator.packed])
 
-    def update_devices(self, temperature: ArrayLike, state: PreisachState) -> Floats:
-        """Apply one temperature [degC] to each device and return the outputs (devices,); `state` changes in place."""
-        return self.operator.update_devices(temperature, state) + self.expansion(temperature)
+    @property
+    def memory_size(self) -> int:
+        """Length of the memory, that of the operator."""
+        return self.operator.memory_size
 
-    def run(self, temperature: ArrayLike, state: PreisachState) -> tuple[Floats, PreisachState]:
-        """Apply temperatures (n,) or (devices, n); return outputs and the state, which changes in place."""
-        out, state = self.operator.run(temperature, state)
-        return out + self.expansion(temperature), state
+    @property
+    def span(self) -> tuple[float, float]:
+        """Output in both saturations, at the ends of the grid."""
+        low, high = self.operator.output_range
+        ends = self.expansion(self.operator.walls[[0, -1]])
+        return low + float(ends[0]), high + float(ends[1])
 
-    def __call__(self, temperature: ArrayLike, state: PreisachState | None = None) -> Floats:
-        """Return the output under `temperature`, from `state` (not changed) or negative saturation."""
-        return self.operator(temperature, state) + self.expansion(temperature)
+    def initial_memory(self, saturation: Saturation = "lower", *, devices: int | None = None) -> Floats:
+        """Return the operator's memory in saturation."""
+        return self.operator.initial_memory(saturation, devices=devices)
+
+    def present_input(self, memory: Floats) -> float:
+        """Temperature that the memory was last moved to, within the grid [degC]."""
+        return self.operator.present_input(memory)
+
+    def inverse(self, input_range: tuple[float, float] | None = None) -> Inverse:
+        """Return the inverse of section 5.4.1, over the whole grid."""
+        from vo2_models.hysteresis.preisach.nonmonotonic_inverse import NonMonotonicInverse
+
+        return NonMonotonicInverse(self)
+
+    def step_devices(self, temperature: ArrayLike, memory: Floats) -> Floats:
+        """Apply one temperature [degC] to each device and return the outputs (devices,); `memory` changes in place."""
+        return self.operator.step_devices(temperature, memory) + self.expansion(temperature)
+
+    def run(self, u: ArrayLike, memory: Floats | None = None) -> Floats:
+        """Apply temperatures (n,) or (devices, n) [degC]; return the outputs; `memory` changes in place."""
+        return self.operator.run(u, memory) + self.expansion(u)
+
+    def __call__(self, temperature: ArrayLike, memory: Floats | None = None) -> Floats:
+        """Return the output under `temperature`, from `memory` (not changed) or negative saturation."""
+        return self.run(temperature, None if memory is None else memory.copy())
+
+    def to_parameters(self, section: str) -> dict[str, Value]:
+        """Return the flat parameters of the operator and of the expansion."""
+        expansion = {f"{section}.{name}": float(getattr(self, name)) for name in ("k0", "k1", "reference")}
+        return self.operator.to_parameters(section) | {f"{section}.law": self.name} | expansion
+
+    @classmethod
+    def from_parameters(cls, section: str, values: Mapping[str, Value]) -> NonMonotonicPreisach:
+        """Return the model that `to_parameters` wrote."""
+        numbers = [float(values[f"{section}.{name}"]) for name in ("k0", "k1", "reference")]  # type: ignore[arg-type]
+        return cls(PreisachOperator.from_parameters(section, values), *numbers)
 
 
 def fit_nonmonotonic(

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.hysteresis.preisach.inverse import RESIDUAL
+from vo2_models.hysteresis import law
+from vo2_models.hysteresis.law import REACHED
 from vo2_models.hysteresis.preisach.kernels import HEADER, cell_polynomial, leg_start, locate
-from vo2_models.hysteresis.preisach.memory import PreisachState
 from vo2_models.hysteresis.preisach.nonmonotonic import NonMonotonicPreisach
 from vo2_models.numerics.kernel import kernel
 
@@ -129,7 +129,7 @@ class NonMonotonicInverse:
     >>> from vo2_models.hysteresis.preisach import PreisachOperator
     >>> operator = PreisachOperator([30.0, 50.0, 70.0], np.full(3, 0.5))
     >>> model = NonMonotonicPreisach(operator, k0=2.0, k1=4.0)
-    >>> state = operator.saturated()
+    >>> state = operator.initial_memory()
     >>> found = NonMonotonicInverse(model).update(150.0, state)
     >>> found.reached, round(found.output, 9), model(found.temperatures).round(9).tolist()[-1]
     (True, 150.0, 150.0)
@@ -165,7 +165,7 @@ class NonMonotonicInverse:
         best = np.unravel_index(np.argmax(sign * u), u.shape)
         return float(v[best]), float(u[best])
 
-    def update(self, target: float, state: PreisachState) -> Inversion:
+    def update(self, target: float, state: Floats) -> Inversion:
         """Return the temperatures for output `target`; `state` moves along.
 
         Raises
@@ -177,8 +177,8 @@ class NonMonotonicInverse:
         model, operator = self.model, self.model.operator
         arguments = (*model.parabola, *operator.compiled)
         low, high = float(operator.walls[0]), float(operator.walls[-1])
-        now = float(state.array[1])
-        present = float(state.array[2]) + float(model.expansion(now))
+        now = float(state[1])
+        present = float(state[2]) + float(model.expansion(now))
         rises = bool(target > present)
         far, back = (high, low) if rises else (low, high)
         saturated = operator.output_range[rises] + float(model.expansion(far))
@@ -187,17 +187,22 @@ class NonMonotonicInverse:
         if target == present:
             temperatures: tuple[float, ...] = (now,)
         elif (wanted <= saturated) if rises else (wanted >= saturated):
-            found, iterations = search(wanted, rises, state.array, *arguments)
+            found, iterations = search(wanted, rises, state, *arguments)
             temperatures = (found if found == found else far,)
         else:
-            start = operator.saturated(1 if rises else -1)
+            start = operator.initial_memory("upper" if rises else "lower")
             if wanted != target:
                 found = self.maximum[0] if rises else self.minimum[0]
             else:
-                found, iterations = search(wanted, not rises, start.array, *arguments)
+                found, iterations = search(wanted, not rises, start, *arguments)
             temperatures = (far, found if found == found else back)
         output = present
         for temperature in temperatures:
-            output = model.update(temperature, state)
-        tolerance = RESIDUAL * (self.maximum[1] - self.minimum[1])
+            output = model.step(temperature, state)
+        tolerance = REACHED * (self.maximum[1] - self.minimum[1])
         return Inversion(temperatures, output, bool(abs(output - target) <= tolerance), iterations)
+
+    def invert(self, output: float, memory: Floats) -> law.Inversion:
+        """`update` as every law's inverse gives it: the last of the temperatures, all of them applied."""
+        found = self.update(output, memory)
+        return law.Inversion(found.temperatures[-1], found.output, found.reached)

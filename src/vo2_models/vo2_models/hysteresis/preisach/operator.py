@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vo2_models.hysteresis.law import Inverse, Law, LawInverse, Saturation
 from vo2_models.hysteresis.preisach import kernels
 from vo2_models.hysteresis.preisach.grid import (
     Diagonal,
@@ -17,23 +19,25 @@ from vo2_models.hysteresis.preisach.grid import (
     pack,
     unpack,
 )
-from vo2_models.hysteresis.preisach.memory import PreisachState
+from vo2_models.parameters import Value
 from vo2_models.validation import finite_array
 
 __all__ = ["PreisachOperator"]
 
 Floats = NDArray[np.float64]
 
-_FIRST_TURNING_POINTS = 30
+FEWEST_TURNING_POINTS = 30
+"""Room of the memory on a coarse grid; on a fine one there is room for two turning points per wall."""
 
 
 @dataclass(frozen=True, eq=False)
-class PreisachOperator:
+class PreisachOperator(Law):
     """u(t) = bias + integral of mu(beta, alpha) gamma_{beta, alpha}[v](t), relays gamma = +-1: (A.2), (4.1), (5.2).
 
     The density is constant on each cell of a grid that may be non-uniform; inputs are continuous, so a cell
     may be covered in part, and then counts with the covered area. Outside the grid the operator is
-    saturated. The cost of a sample does not depend on the level L.
+    saturated. The cost of a sample does not depend on the level L. The memory is the stack of turning points that are not
+    wiped out yet, laid out as `kernels` says; `history` reads it.
 
     Parameters
     ----------
@@ -53,16 +57,26 @@ class PreisachOperator:
     >>> operator = PreisachOperator([0.0, 1.0, 2.0], [[1.0, 0.0], [2.0, 1.0]])
     >>> operator([0.0, 2.0, 1.0, 1.5, 2.0]).tolist()
     [-3.0, 3.0, 2.0, 2.25, 3.0]
-    >>> state = operator.saturated()
-    >>> operator.update(1.0, state), operator.update(0.5, state)
+    >>> memory = operator.initial_memory()
+    >>> operator.step(1.0, memory), operator.step(0.5, memory)
     (-2.0, -2.25)
     """
+
+    name = "preisach"
+    move = staticmethod(kernels.move_preisach)
+    sweep = staticmethod(kernels.sweep_preisach)
+    described: ClassVar = {
+        "walls": ("{u}", "increasing input levels of the Preisach grid"),
+        "density": ("{y}/{u}^2", "Preisach density of the cells, row by row,"),
+        "bias": ("{y}", "constant part"),
+    }
 
     walls: Floats
     density: Floats
     bias: float = 0.0
     diagonal: Diagonal = "triangle"
-    compiled: tuple[Floats, Floats, Floats, NDArray[np.int64], float] = field(init=False, repr=False)
+    compiled: tuple[Floats, Floats, Floats, Floats, float] = field(init=False, repr=False)
+    _packed: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         # copies: the compiled tables must not fall behind an array that the caller changes later
@@ -87,11 +101,13 @@ class PreisachOperator:
         # as many buckets as cells where they are equal, more where not; `kernels.locate` corrects the guess
         starts = np.linspace(walls[0], walls[-1], (1 if uniform else 4) * level, endpoint=False)
         guess = np.searchsorted(walls, starts + 1e-9 * width.min(), side="right") - 1
-        buckets = np.clip(guess, 0, level - 1).astype(np.int64)
-        scale = float(buckets.size / (walls[-1] - walls[0]))
-        for name, value in (("walls", walls), ("density", density), ("bias", bias)):
+        buckets = np.clip(guess, 0, level - 1).astype(np.float64)
+        scale = buckets.size / (walls[-1] - walls[0])
+        table = everett_table(weights)
+        packed = np.concatenate([[level, buckets.size, scale], walls, half, buckets, table.ravel()])
+        for name, value in (("walls", walls), ("density", density), ("bias", bias), ("_packed", packed)):
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "compiled", (everett_table(weights), walls, half, buckets, scale))
+        object.__setattr__(self, "compiled", kernels.unpacked(packed))
 
     @classmethod
     def from_weights(
@@ -127,85 +143,101 @@ class PreisachOperator:
         total = float(self.compiled[0][-1, 0])
         return self.bias - total, self.bias + total
 
-    def saturated(self, sign: int = -1, *, devices: int | None = None) -> PreisachState:
-        """Return the memory after saturation (-1 below the grid, +1 above), of one or several devices.
+    @property
+    def packed(self) -> Floats:
+        """The operator as one vector, laid out as `kernels` describes, for other compiled loops."""
+        return self._packed
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Output in negative and in positive saturation, as `output_range`."""
+        return self.output_range
+
+    @property
+    def memory_size(self) -> int:
+        """Length of the memory of one device."""
+        return kernels.HEADER + 2 * max(FEWEST_TURNING_POINTS, 2 * (self.level + 1))
+
+    def initial_memory(self, saturation: Saturation = "lower", *, devices: int | None = None) -> Floats:
+        """Return the memory below ("lower") or above ("upper") the grid, (memory_size,) or (devices, memory_size).
 
         Raises
         ------
-        ValueError : `sign` is neither -1 nor +1, or `devices` below 1.
+        ValueError : another `saturation`, or `devices` below 1.
         """
-        if sign not in (-1, 1):
-            raise ValueError(f"sign: found {sign!r}, need -1 or +1")
+        if saturation not in ("lower", "upper"):
+            raise ValueError(f"saturation: found {saturation!r}, need 'lower' or 'upper'")
         if devices is not None and devices < 1:
             raise ValueError(f"devices: found {devices}, need at least 1")
-        row = np.zeros(kernels.HEADER + 2 * _FIRST_TURNING_POINTS)
+        row = np.zeros(self.memory_size)
         row[:5] = 1.0, self.walls[0], self.output_range[0], self.walls[0], self.output_range[0]
-        if sign == 1:
+        if saturation == "upper":
             kernels.step(self.walls[-1], row, *self.compiled)
-        return PreisachState(row if devices is None else np.tile(row, (devices, 1)))
+        return row if devices is None else np.tile(row, (devices, 1))
 
-    def memory(self, history: ArrayLike) -> PreisachState:
-        """Return the memory that an input history (n,) leaves, from negative saturation on."""
-        return self.run(history, self.saturated())[1]
+    def memory(self, history: ArrayLike) -> Floats:
+        """Return the memory (memory_size,) that an input history (n,) leaves, from negative saturation on."""
+        found = self.initial_memory()
+        self.run(history, found)
+        return found
 
-    def update(self, v: float, state: PreisachState) -> float:
-        """Apply one input to one device and return the output; `state` changes in place.
+    @staticmethod
+    def history(memory: Floats) -> Floats:
+        """Return the turning points of a memory and the present input: they lead from negative saturation there."""
+        return np.append(memory[kernels.HEADER : kernels.HEADER + 2 * int(memory[0]) : 2], memory[1])
 
-        Raises
-        ------
-        ValueError : `v` is NaN, or the state holds several devices.
-        """
-        array = state.array
-        if array.ndim != 1:
-            raise ValueError(f"state: found {len(array)} devices, need one; see update_devices")
-        u = kernels.step(float(v), array, *self.compiled)
-        if u != u:
-            if v != v:
-                raise ValueError("v: found nan, need a number; hold the last input or skip the sample")
-            state.enlarge()
-            return self.update(v, state)
-        return u
+    def present_input(self, memory: Floats) -> float:
+        """Input that the memory was last moved to, within the grid."""
+        return float(memory[1])
 
-    def update_devices(self, v: ArrayLike, state: PreisachState) -> Floats:
-        """Apply one input to each device and return the outputs (devices,); `state` changes in place.
+    def step_devices(self, v: ArrayLike, memory: Floats) -> Floats:
+        """Apply one input to each device and return the outputs (devices,); `memory` changes in place.
 
         Raises
         ------
-        ValueError : `v` not finite, or not as many as the state has devices.
+        ValueError : `v` not finite, or not as many as the memory has rows.
         """
-        return self.run(finite_array(v, "v")[:, None], state)[0][:, 0]
+        return self.run(finite_array(v, "v")[:, None], memory)[:, 0]
 
-    def run(self, v: ArrayLike, state: PreisachState) -> tuple[Floats, PreisachState]:
-        """Apply an input sequence and return the outputs and the state, which changes in place.
+    def run(self, u: ArrayLike, memory: Floats | None = None) -> Floats:
+        """Apply inputs and return the outputs, of their shape; `memory` changes in place.
 
         Parameters
         ----------
-        v : (n,) for one device, or (devices, n) with a state of as many devices
-        state : the memory to start from
+        u : (n,) for one device, or (devices, n) with a memory of as many rows
+        memory : to start from, None for negative saturation
 
         Raises
         ------
-        ValueError : `v` not finite, or its shape does not fit the state.
+        ValueError : `u` not finite, or a memory that does not fit it.
         """
-        values = finite_array(v, "v", ndim=(1, 2))
-        if values.shape[:-1] != state.array.shape[:-1]:
+        values = finite_array(u, "u", ndim=(1, 2))
+        devices = None if values.ndim == 1 else values.shape[0]
+        state = self.initial_memory(devices=devices) if memory is None else memory
+        if state.shape != (*values.shape[:-1], self.memory_size):
             raise ValueError(
-                f"v: found shape {values.shape}, need {(*state.array.shape[:-1], 'n')} as the state has"
+                f"memory: found shape {state.shape}, need {(*values.shape[:-1], self.memory_size)} for these inputs"
             )
         out = np.empty_like(values)
         if values.ndim == 1:
-            done = kernels.run(values, out, 0, state.array, *self.compiled)
-            while done < values.size:
-                state.enlarge()
-                done = kernels.run(values, out, done, state.array, *self.compiled)
+            kernels.run(values, out, state, *self.compiled)
         else:
-            reached = np.zeros(values.shape[0], dtype=np.int64)
-            while not kernels.run_devices(values, out, reached, state.array, *self.compiled):
-                state.enlarge()
-        return out, state
+            kernels.run_devices(values, out, state, *self.compiled)
+        return out
 
-    def __call__(self, v: ArrayLike, state: PreisachState | None = None) -> Floats:
-        """Return the output (n,) or (devices, n) under `v`, from `state` (not changed) or negative saturation."""
-        values = finite_array(v, "v", ndim=(1, 2))
-        devices = None if values.ndim == 1 else values.shape[0]
-        return self.run(values, self.saturated(devices=devices) if state is None else state.copy())[0]
+    def __call__(self, v: ArrayLike, memory: Floats | None = None) -> Floats:
+        """Return the output (n,) or (devices, n) under `v`, from `memory` (not changed) or negative saturation."""
+        return self.run(v, None if memory is None else memory.copy())
+
+    def inverse(self, input_range: tuple[float, float] | None = None) -> Inverse:
+        """Return the exact inverse over the grid; with densities of both signs the one by bisection, as `LawInverse`."""
+        from vo2_models.hysteresis.preisach.inverse import PreisachInverse
+
+        if np.any(self.density < 0):
+            return LawInverse(self, input_range or (float(self.walls[0]), float(self.walls[-1])))
+        return PreisachInverse(self)
+
+    def to_parameters(self, section: str) -> dict[str, Value]:
+        """Return the flat parameters; the density row by row, with the true area of the cells on the diagonal."""
+        density = pack(self.weights) / pack(cell_areas(self.walls))
+        return super().to_parameters(section) | {f"{section}.density": density.tolist()}

@@ -38,17 +38,13 @@ def _add_strip(row, factor, begin, end, top, walls, square):
 
 
 @kernel
-def _signed_areas(v, first, state, walls, square, areas, out):
-    """Fill `out[first:, :K]`, or only follow the memory if `areas` is empty.
-
-    Returns how far it came: `v.size`, unless the state is full.
-    """
+def _signed_areas(v, state, walls, square, areas, out):
+    """Fill `out[:, :K]`, or only follow the memory if `areas` is empty."""
     cells = areas.size
-    for k in range(first, v.size):
+    for k in range(v.size):
         x = min(max(v[k], walls[0]), walls[-1])
         if x != state[1]:
-            if turn_and_wipe(x, state, walls) < 0:
-                return k
+            turn_and_wipe(x, state, walls)
             state[1] = x
         if cells == 0:
             continue
@@ -61,7 +57,6 @@ def _signed_areas(v, first, state, walls, square, areas, out):
             _add_strip(out[k], 2.0, low, high, state[HEADER + 2 * top], walls, square)
         if n % 2 == 1:
             _add_strip(out[k], 2.0, state[HEADER + 2 * (n - 1)], x, x, walls, square)
-    return v.size
 
 
 def signed_area_matrix(
@@ -102,24 +97,15 @@ def signed_area_matrix(
     before = finite_array(history, "history") if history is not None else np.empty(0)
     areas = pack(cell_areas(checked, diagonal))
     cells = cell_count(checked.size - 1)
-    state = np.zeros(HEADER + 64)
+    # room for every turning point, so that none is forgotten
+    state = np.zeros(HEADER + 2 * (before.size + values.size + 2))
     state[:4] = 1.0, checked[0], 0.0, checked[0]
     matrix = np.empty((values.size, cells + bias + linear))
-    _, state = _filled(before, state, checked, diagonal, areas[:0], np.empty((before.size, 0)))
-    _filled(values, state, checked, diagonal, areas, matrix)
+    square = diagonal == "square"
+    _signed_areas(before, state, checked, square, areas[:0], np.empty((before.size, 0)))
+    _signed_areas(values, state, checked, square, areas, matrix)
     if bias:
         matrix[:, cells] = 1.0
     if linear:
         matrix[:, cells + bias] = values
     return matrix
-
-
-def _filled(
-    v: Floats, state: Floats, walls: Floats, diagonal: Diagonal, areas: Floats, matrix: Floats
-) -> tuple[Floats, Floats]:
-    done = 0
-    while True:
-        done = _signed_areas(v, done, state, walls, diagonal == "square", areas, matrix)
-        if done == v.size:
-            return matrix, state
-        state = np.concatenate([state, np.zeros_like(state)])

@@ -100,7 +100,7 @@ def _figures(seed: int) -> tuple[Figure, ...]:
         top.plot(wanted, color="k")
         top.set_ylabel("wanted -log10 R")
         for (name, model), style in zip(models.items(), STYLES, strict=True):
-            v, _ = PreisachInverse(model.operator).run(wanted, model.operator.saturated())
+            v, _ = PreisachInverse(model.operator).run(wanted, model.operator.initial_memory())
             bottom.plot(truth(v) - wanted, style, label=name)
         bottom.set_ylabel("error [log10 ohm]")
         bottom.set_xlabel("sample [1]")

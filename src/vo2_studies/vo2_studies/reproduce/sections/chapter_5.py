@@ -87,7 +87,7 @@ def _figures(seed: int) -> tuple[Figure, ...]:
         0.5 * (inverse.maximum[1] - inverse.minimum[1]),
     )
     wanted = middle - 0.97 * half * np.cos(0.13 * t) * np.exp(-t / 200)
-    state = proposed.operator.saturated()
+    state = proposed.operator.initial_memory()
     steps = [inverse.update(float(k), state).temperatures for k in wanted]
     reached = {
         "proposed": device(np.r_[COLD, np.concatenate(steps)], 3)[np.cumsum([len(s) for s in steps])],

@@ -1,0 +1,70 @@
+"""The hysteresis laws by name, and the law of a section of a model file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from vo2_models.hysteresis.domains import DomainEnsemble
+from vo2_models.hysteresis.law import Law
+from vo2_models.hysteresis.play_bank import PlayBank
+from vo2_models.hysteresis.prandtl_ishlinskii import CPI, EGPI, GPI
+from vo2_models.hysteresis.preisach.nonmonotonic import NonMonotonicPreisach
+from vo2_models.hysteresis.preisach.operator import PreisachOperator
+from vo2_models.parameters import Parameter, Value
+
+__all__ = ["FILED", "LAWS", "bank_parameters", "law_from_parameters", "law_parameters"]
+
+FILED: Mapping[str, type[Law]] = {
+    law.name: law for law in (PlayBank, PreisachOperator, NonMonotonicPreisach, DomainEnsemble)
+}
+"""Name in a model file -> class. GPI and EGPI are written as the bank of plays that they are."""
+
+LAWS: Mapping[str, type[Law]] = {**FILED, CPI.name: CPI, GPI.name: GPI, EGPI.name: EGPI}
+"""Name -> class of every law."""
+
+
+def law_from_parameters(section: str, values: Mapping[str, Value]) -> Law:
+    """Return the law that `Law.to_parameters` wrote; without `section.law` it is a bank of plays.
+
+    Raises
+    ------
+    ValueError : a law that does not exist, or a parameter that is missing or not allowed; the message names it.
+    """
+    name = str(values.get(f"{section}.law") or PlayBank.name)
+    if name not in FILED:
+        raise ValueError(f"{section}.law: found {name!r}, need one of {', '.join(FILED)}")
+    return FILED[name].from_parameters(section, values)
+
+
+def law_parameters(section: str, what: str, unit: str) -> tuple[Parameter, ...]:
+    """Return the `Parameter` records of any law over a temperature, for the declaration by a node.
+
+    Parameters
+    ----------
+    section : such as `model.resistance`
+    what : the output, for the descriptions
+    unit : of the output
+    """
+    choice = Parameter(
+        f"{section}.law", "", "", f"hysteresis law of {what}; empty for {PlayBank.name}", choices=("", *FILED)
+    )
+    return choice, *_records(section, what, unit, tuple(FILED.values()))
+
+
+def bank_parameters(section: str, what: str, unit: str) -> tuple[Parameter, ...]:
+    """Return the `Parameter` records of a bank of plays over a temperature."""
+    return _records(section, what, unit, (PlayBank,))
+
+
+def _records(section: str, what: str, unit: str, laws: tuple[type[Law], ...]) -> tuple[Parameter, ...]:
+    described = {name: text for law in laws for name, text in law.described.items()}
+    return tuple(
+        Parameter(
+            f"{section}.{name}",
+            [],
+            symbol.format(y=unit, u="K"),
+            f"{text} of {what}; empty without",
+            kind="float_array",
+        )
+        for name, (symbol, text) in described.items()
+    )
