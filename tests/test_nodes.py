@@ -4,7 +4,7 @@ import subprocess
 import sys
 
 import pytest
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from vo2_interface.parameters import ros_parameters
 from vo2_models.model_file import load_model_parameters
 from vo2_studies.demo.graph import MODULES
@@ -27,6 +27,18 @@ def test_every_node_takes_a_model_file_at_start_and_at_run_time(graph, conductor
         assert len(results) == len(request.parameters)
         assert [result.reason for result in results if not result.successful] == [], name
     graph.check()
+
+
+def test_all_parameters_of_every_node_are_got_at_once_as_ros2_param_dump_asks(graph, conductor):
+    for name in NODES:
+        graph.start(name)
+    conductor.wait_for_nodes([f"/vo2/{name}" for name in NODES])
+    for name in NODES:
+        listing = conductor.call(f"/vo2/{name}/list_parameters", ListParameters, ListParameters.Request())
+        asked = GetParameters.Request(names=listing.result.names)
+        # a single one without a value would empty the whole answer
+        values = conductor.call(f"/vo2/{name}/get_parameters", GetParameters, asked).values
+        assert len(values) == len(asked.names) > 50, name
 
 
 @pytest.mark.parametrize(

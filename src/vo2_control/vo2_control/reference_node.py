@@ -9,6 +9,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from vo2_interface.diagnostics import Diagnostics
 from vo2_interface.executable import run_nodes
+from vo2_interface.inputs import SampleInput
 from vo2_interface.lockstep import StampOrder
 from vo2_interface.model import model_parameters
 from vo2_interface.parameters import ParameterTable
@@ -17,7 +18,6 @@ from vo2_interface.topics import (
     DEFAULT_NAMESPACE,
     LATCHED_QOS,
     MEASUREMENT,
-    READ_QOS,
     REFERENCE,
     REFERENCE_CHANNELS,
 )
@@ -78,7 +78,7 @@ class ReferenceNode(Node):
         self._answer = b""
         self._publisher = self.create_publisher(JointState, REFERENCE, LATCHED_QOS)
         self._diagnostics.watch_listeners(self._publisher)
-        self.create_subscription(JointState, MEASUREMENT, self._on_measurement, READ_QOS, raw=True)
+        SampleInput(self, MEASUREMENT, self._on_measurement, self._diagnostics)
 
     def _on_measurement(self, data: bytes) -> None:
         stamp_ns, _ = self._reader.read(data)

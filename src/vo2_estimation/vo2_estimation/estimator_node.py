@@ -9,6 +9,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from vo2_interface.diagnostics import Diagnostics
 from vo2_interface.executable import run_nodes
+from vo2_interface.inputs import SampleInput
 from vo2_interface.lockstep import StampOrder
 from vo2_interface.model import PRESETS, model_parameters
 from vo2_interface.parameters import ParameterTable
@@ -18,7 +19,6 @@ from vo2_interface.topics import (
     ESTIMATE,
     ESTIMATE_CHANNELS,
     MEASUREMENT,
-    READ_QOS,
     SAMPLE_QOS,
 )
 from vo2_models.parameters import Parameter, Value
@@ -99,7 +99,7 @@ class EstimatorNode(Node):
         self._answer = b""
         self._publisher = self.create_publisher(JointState, ESTIMATE, SAMPLE_QOS)
         self._diagnostics.watch_listeners(self._publisher)
-        self.create_subscription(JointState, MEASUREMENT, self._on_measurement, READ_QOS, raw=True)
+        SampleInput(self, MEASUREMENT, self._on_measurement, self._diagnostics)
         self._rebuild()
 
     def _on_measurement(self, data: bytes) -> None:

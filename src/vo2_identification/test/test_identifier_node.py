@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from vo2_identification.excitation_plan import (
     EXCITATION_PARAMETERS,
@@ -11,7 +13,9 @@ from vo2_identification.excitation_plan import (
 from vo2_identification.identifier_node import IdentifierNode
 from vo2_interface.model import operating_point
 from vo2_interface.parameters import ParameterTable
+from vo2_interface.samples import SampleWriter
 from vo2_interface.testing import bench
+from vo2_interface.topics import EMERGENCY_STOP_QOS
 from vo2_models.device import truth
 from vo2_models.identification.digest import DIGEST_PARAMETERS
 from vo2_models.identification.excitation import damped_oscillation
@@ -259,3 +263,34 @@ def test_a_concealed_effect_is_named_on_diagnostics(model_file):
         assert share == pytest.approx(0.06, rel=0.15)
         assert 0.0 < deviation < 0.01
         assert "creep" in text
+
+
+def test_an_emergency_stop_ends_an_excitation_with_the_next_sample_and_bars_another():
+    with bench(arguments(excitation__kind="levels", excitation__levels_a="[0.004]", fit="false")) as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        rig.add(IdentifierNode)
+        assert trigger(rig, "start").success
+        rig.say("/vo2/measurement", MS, {"heater_current": 0.004})
+        rig.until(lambda: rig.heard["/vo2/command"])
+        button = rig.node.create_publisher(Bool, "/vo2/emergency_stop", EMERGENCY_STOP_QOS)
+        button.publish(Bool(data=True))
+        rig.until(lambda: "stopped" in rig.status("identifier: emergency stop")[0])
+        rig.say("/vo2/measurement", 2 * MS, {"heater_current": 0.004})
+        rig.until(lambda: state(rig) == "failed")
+        rig.until(lambda: rig.heard["/vo2/command"][-1] == (2 * MS, (0.0,)))
+        assert "release it first" in trigger(rig, "start").message
+
+
+def test_malformed_measurements_do_not_end_it():
+    with bench(arguments(excitation__kind="listen", fit="false", quiet_s="0.3")) as rig:
+        node = rig.add(IdentifierNode)
+        assert trigger(rig, "start").success
+        rig.say("/vo2/measurement", MS, {"heater_current": 0.004})
+        publisher = rig.node.create_publisher(JointState, "/vo2/measurement", 10)
+        rig.until(lambda: publisher.get_subscription_count() == 1)
+        rig.spin(0.2)
+        publisher.publish(SampleWriter(("heater_current",)).write(2 * MS, (0.004,))[:30])
+        rig.until(lambda: "cut short" in rig.status("identifier: input measurement")[0])
+        rig.say("/vo2/measurement", 3 * MS, {"heater_current": 0.004})
+        rig.until(lambda: state(rig) == "done")
+        assert len(node._last_recording) == 2

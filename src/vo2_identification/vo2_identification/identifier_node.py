@@ -24,17 +24,19 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from vo2_interface.diagnostics import Diagnostics
+from vo2_interface.emergency_stop import EmergencyStop
 from vo2_interface.executable import run_nodes
+from vo2_interface.inputs import SampleInput
 from vo2_interface.lockstep import StampOrder
 from vo2_interface.model import PRESETS, model_parameters, operating_point
 from vo2_interface.parameters import ParameterTable, ros_parameters
 from vo2_interface.samples import SampleReader, SampleWriter
+from vo2_interface.timers import create_steady_timer
 from vo2_interface.topics import (
     COMMAND,
     COMMAND_CHANNELS,
     DEFAULT_NAMESPACE,
     MEASUREMENT,
-    READ_QOS,
     SAFE_CURRENT_A,
     SAMPLE_QOS,
 )
@@ -131,11 +133,12 @@ class IdentifierNode(Node):
         self._writer = SampleWriter(COMMAND_CHANNELS, self._preset)
         self._publisher = self.create_publisher(JointState, COMMAND, SAMPLE_QOS)
         self._diagnostics.watch_listeners(self._publisher)
-        self.create_subscription(JointState, MEASUREMENT, self._on_measurement, READ_QOS, raw=True)
+        SampleInput(self, MEASUREMENT, self._on_measurement, self._diagnostics)
+        self._stop = EmergencyStop(self, self._diagnostics)
         self.create_service(Trigger, "~/start", self._on_start)
         self.create_service(Trigger, "~/cancel", self._on_cancel)
         self.create_service(Trigger, "~/diagnose", self._on_diagnose)
-        self.create_timer(_POLL_S, self._on_poll)
+        create_steady_timer(self, _POLL_S, self._on_poll)
         self._tell("idle", "ready; call ~/start")
 
     # --- for whoever composes this node into a process of its own -----------------------------------
@@ -175,6 +178,9 @@ class IdentifierNode(Node):
     def _on_start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._state not in ("idle", "done", "failed", "cancelled"):
             response.message = f"busy ({self._state}); call ~/cancel first"
+            return response
+        if self._stop.active:
+            response.message = "emergency stop is active; release it first"
             return response
         try:
             self._currents = excitation_currents(self._preset, self._period_s, self._table)
@@ -255,6 +261,10 @@ class IdentifierNode(Node):
         self._device = self._reader.device
         if self._state == "listening":
             self._log.append(stamp_ns, values)
+            return
+        if self._stop.active:
+            self._publisher.publish(self._writer.write(stamp_ns, (SAFE_CURRENT_A,)))
+            self._tell("failed", "emergency stop; release it, then call ~/start again")
             return
         if not math.isfinite(values[0]):
             self._tell(

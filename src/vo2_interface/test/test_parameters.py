@@ -1,6 +1,8 @@
 """Parameters from records: declared with range and text, checked, changed at run time."""
 
 import pytest
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from vo2_interface.model import model_parameters
@@ -89,3 +91,31 @@ def test_every_model_parameter_can_be_declared_set_and_read_back():
             assert node.set_parameters([parameter])[0].successful, parameter.name
         assert table.given("model.") == values
         node.destroy_node()
+
+
+def test_all_parameters_are_got_at_once_as_ros2_param_dump_asks():
+    with bench() as rig:
+        node = rig.add(lambda: Node("node"))
+        table = ParameterTable(node, (*RECORDS, *model_parameters()))
+        listing = rig.node.create_client(ListParameters, "/node/list_parameters")
+        getting = rig.node.create_client(GetParameters, "/node/get_parameters")
+        rig.until(lambda: listing.service_is_ready() and getting.service_is_ready())
+        answer = listing.call_async(ListParameters.Request())
+        rig.until(answer.done)
+        names = answer.result().result.names
+        assert {record.name for record in model_parameters()} < set(names)
+        answer = getting.call_async(GetParameters.Request(names=names))
+        rig.until(answer.done)
+        values = dict(zip(names, answer.result().values, strict=True))
+        assert all(value.type != ParameterType.PARAMETER_NOT_SET for value in values.values())
+        assert values["levels"].type == ParameterType.PARAMETER_DOUBLE_ARRAY
+        assert table.given() == {}
+        assert table.revision == 0
+
+
+def test_what_was_dumped_can_be_given_at_the_start(tmp_path):
+    path = tmp_path / "dumped.yaml"
+    path.write_text("node:\n  ros__parameters:\n    gain: 3.5\n    levels: []\n")
+    for _, table in table_of(["--params-file", str(path)]):
+        assert table.number("gain") == 3.5
+        assert table.numbers("levels") == []

@@ -8,7 +8,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from vo2_interface.samples import stamp_message
+from vo2_interface.samples import message_stamp_ns, stamp_message
+from vo2_interface.timers import create_steady_timer
 from vo2_interface.topics import DIAGNOSTICS, SAMPLE_QOS
 
 __all__ = ["Diagnostics"]
@@ -34,6 +35,7 @@ class Diagnostics:
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, SAMPLE_QOS)
         self._present: dict[str, tuple[str, str, dict[str, str]]] = {}
         self._watched: list[Publisher] = []
+        self._heard = b""
         self._name = node.get_fully_qualified_name().lstrip("/")
         self.hardware_id = hardware_id
 
@@ -57,10 +59,17 @@ class Diagnostics:
         if before is None or before[:2] != (level, text):
             self._log(topic, level, text, first=before is None)
 
+    def note_sample(self, data: bytes) -> None:
+        """Take the stamp of a serialized sample as the present time, for all that is told without a stamp.
+
+        In simulated time nobody else knows it: no status is on another clock than the samples around it.
+        """
+        self._heard = data
+
     def watch_listeners(self, publisher: Publisher) -> None:
         """Report on `links` how many listeners the publisher has, again and again for who comes late."""
         if not self._watched:
-            self._node.create_timer(_WATCH_S, self._report_listeners)
+            create_steady_timer(self._node, _WATCH_S, self._report_listeners)
         self._watched.append(publisher)
 
     def _report_listeners(self) -> None:
@@ -80,7 +89,9 @@ class Diagnostics:
     def _send(self, topics: list[str], stamp_ns: int | None) -> None:
         message = DiagnosticArray()
         if stamp_ns is None:
-            stamp_ns = self._node.get_clock().now().nanoseconds
+            stamp_ns = (
+                message_stamp_ns(self._heard) if self._heard else self._node.get_clock().now().nanoseconds
+            )
         message.header.stamp = stamp_message(stamp_ns)
         for topic in topics:
             level, text, values = self._present[topic]

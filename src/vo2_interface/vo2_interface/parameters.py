@@ -55,6 +55,7 @@ class ParameterTable:
         node.add_on_set_parameters_callback(self._check)
         for record in self._records.values():
             self._declare(record, read_only=record.name in fixed)
+        self._set_empty_arrays()
         node.add_post_set_parameters_callback(self._accept)
 
     def __getitem__(self, name: str) -> Value:
@@ -105,7 +106,7 @@ class ParameterTable:
         descriptor = _describe(record)
         descriptor.read_only = read_only
         ros_type = _ROS_TYPE[record.type]
-        # ROS cannot tell the type of an empty array: such a parameter starts unset.
+        # ROS cannot tell the type of an empty array that is declared: it is set afterwards, with its type
         empty = isinstance(record.default, list) and not record.default
         try:
             declared = self._node.declare_parameter(
@@ -118,6 +119,16 @@ class ParameterTable:
             if value != record.default:
                 self._given.add(record.name)
             self._values[record.name] = value
+
+    def _set_empty_arrays(self) -> None:
+        """Give every array without elements its typed value: one that is unset makes `ros2 param dump` get nothing."""
+        unset = [
+            RosParameter(name, _ROS_TYPE[record.type], [])
+            for name, record in self._records.items()
+            if self._node.get_parameter_or(name).type_ == RosParameter.Type.NOT_SET
+        ]
+        if unset and not (result := self._node.set_parameters_atomically(unset)).successful:
+            raise ValueError(result.reason)
 
     def _check(self, parameters: list[RosParameter]) -> SetParametersResult:
         for parameter in parameters:

@@ -19,11 +19,44 @@ from sensor_msgs.msg import JointState
 
 from vo2_interface.joint_state_cdr import FRAME_AT, LITTLE_ENDIAN, STAMP_AT, blank_sample, read_layout
 
-__all__ = ["ClockWriter", "SampleReader", "SampleWriter", "stamp_message", "to_stamp_ns"]
+__all__ = [
+    "ClockWriter",
+    "MalformedSampleError",
+    "SampleReader",
+    "SampleWriter",
+    "message_stamp_ns",
+    "stamp_message",
+    "to_stamp_ns",
+]
 
 _NAN = float("nan")
 _STAMP = struct.Struct("<iI")
 _NS = 1_000_000_000
+
+
+class MalformedSampleError(ValueError):
+    """Bytes that are no sample; the text is the same for all with the same cause."""
+
+
+def message_stamp_ns(data: bytes) -> int:
+    """Return the stamp [ns] that a serialized message begins with.
+
+    Raises
+    ------
+    MalformedSampleError : the message ends before it, it is negative, or it has more nanoseconds than a second.
+    """
+    if len(data) < FRAME_AT:
+        raise MalformedSampleError("it ends within its stamp")
+    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, STAMP_AT)
+    return _checked_stamp_ns(seconds, nanoseconds)
+
+
+def _checked_stamp_ns(seconds: int, nanoseconds: int) -> int:
+    if seconds < 0 or nanoseconds >= _NS:
+        raise MalformedSampleError(
+            "its stamp is negative" if seconds < 0 else "its stamp has more nanoseconds than a second"
+        )
+    return seconds * _NS + nanoseconds
 
 
 def to_stamp_ns(stamp: Time) -> int:
@@ -90,7 +123,12 @@ class SampleReader:
         self._pick: Callable[[tuple[Any, ...]], tuple[float, ...]] = tuple
 
     def read(self, data: bytes) -> tuple[int, tuple[float, ...]]:
-        """Return (stamp in ns, values in the order of `channels`) of a serialized JointState."""
+        """Return (stamp in ns, values in the order of `channels`) of a serialized JointState.
+
+        Raises
+        ------
+        MalformedSampleError : it is cut short, is no JointState, or has a stamp that is no time.
+        """
         if (
             len(data) != self._size
             or data[FRAME_AT : self._body_end] != self._body
@@ -98,15 +136,18 @@ class SampleReader:
         ):
             return self._read_new_layout(data)
         found = self._unpack(data)
-        return found[0] * _NS + found[1], self._pick(found)
+        return _checked_stamp_ns(found[0], found[1]), self._pick(found)
 
     def has(self, channel: str) -> bool:
         """Whether the last sample carried `channel`."""
         return channel in self.names
 
     def _read_new_layout(self, data: bytes) -> tuple[int, tuple[float, ...]]:
-        message = deserialize_message(data, JointState)
-        stamp_ns = to_stamp_ns(message.header.stamp)
+        try:
+            message = deserialize_message(data, JointState)
+        except Exception as error:  # rclpy raises what its C layer and its text decoder say
+            raise MalformedSampleError("it is cut short or no sensor_msgs/msg/JointState") from error
+        stamp_ns = _checked_stamp_ns(message.header.stamp.sec, message.header.stamp.nanosec)
         self.names = tuple(message.name)
         self.device = message.header.frame_id
         positions = dict(zip(message.name, message.position, strict=False))

@@ -10,6 +10,8 @@ __all__ = [
     "COMMAND_CHANNELS",
     "DEFAULT_NAMESPACE",
     "DIAGNOSTICS",
+    "EMERGENCY_STOP",
+    "EMERGENCY_STOP_QOS",
     "ESTIMATE",
     "ESTIMATE_CHANNELS",
     "LATCHED_QOS",
@@ -28,6 +30,7 @@ COMMAND = "command"
 MEASUREMENT = "measurement"
 ESTIMATE = "estimate"
 REFERENCE = "reference"
+EMERGENCY_STOP = "emergency_stop"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
 
@@ -56,3 +59,10 @@ LATCHED_QOS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
+EMERGENCY_STOP_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""Of each publisher the last word only."""

@@ -3,6 +3,9 @@
 import itertools
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import SetBool
 from vo2_interface.testing import bench
 from vo2_models.device import truth
 from vo2_plant_sim.plant_node import PlantNode
@@ -119,3 +122,62 @@ def test_wall_time_keeps_the_pace_and_takes_the_safe_current_after_three_periods
         steps = {after - before for before, after in itertools.pairwise(stamps)}
         assert all(step % (50 * MS) == 0 for step in steps)
         assert "safe current" in rig.status("plant: command")[0]
+
+
+def test_the_plant_repeats_itself_on_the_clock_that_it_publishes_itself():
+    with lockstep("use_sim_time:=true") as rig:
+        rig.hear("/vo2/measurement", CHANNELS)
+        plant = rig.add(PlantNode)
+        rig.until(lambda: len(rig.heard["/vo2/measurement"]) >= 3)
+        assert plant.get_parameter("use_sim_time").value is True
+        rig.say("/vo2/command", S, {"heater_current": 0.005})
+        rig.until(lambda: rig.heard["/vo2/measurement"][-1][0] == S + MS)
+
+
+def test_a_stopped_plant_applies_the_safe_current_from_the_next_sample_on():
+    with lockstep() as rig:
+        rig.hear("/vo2/measurement", CHANNELS)
+        rig.add(PlantNode)
+        stop = rig.node.create_client(SetBool, "/vo2/plant/emergency_stop")
+        rig.until(lambda: rig.heard["/vo2/measurement"] and stop.service_is_ready())
+        for k, (stopped, expected) in enumerate([(False, 0.006), (True, 0.0), (True, 0.0), (False, 0.006)]):
+            # a release counts once the topic brings it back, see EmergencyStop
+            answer = stop.call_async(SetBool.Request(data=stopped))
+            rig.until(answer.done)
+            rig.spin(0.2)
+            rig.say("/vo2/command", S + k * MS, {"heater_current": 0.006})
+            rig.until(lambda k=k: rig.heard["/vo2/measurement"][-1][0] == S + (k + 1) * MS)
+            assert rig.heard["/vo2/measurement"][-1][1][0] == pytest.approx(expected, abs=2e-4)
+
+
+def test_another_clock_and_commands_from_another_run_are_told_once():
+    with lockstep() as rig:
+        rig.hear("/vo2/measurement", CHANNELS)
+        rig.add(PlantNode)
+        rig.node.create_publisher(Clock, "/clock", 10)
+        rig.until(lambda: rig.heard["/vo2/measurement"])
+        for k in range(20):
+            rig.say("/vo2/command", 5 * S + k * MS, {"heater_current": 0.006})
+        rig.until(lambda: "1 more on /clock" in rig.status("plant: clock")[0])
+        rig.spin(1.5)
+        told = [
+            name.rsplit(": ")[-1] for name, text, _ in rig.statuses if "ahead" in text or "more on" in text
+        ]
+        assert sorted(told) == ["clock", "command"]
+
+
+def test_the_plant_says_what_it_simulates_on_the_clock_of_its_samples():
+    with lockstep("seed:=3", "effects:='{creep: {share: 0.05}}'") as rig:
+        stamps = []
+        rig.node.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda message: stamps.append(message.header.stamp.sec), 10
+        )
+        plant = rig.add(PlantNode)
+        rig.until(lambda: stamps)
+        plant._diagnostics.beat()
+        rig.until(lambda: rig.status("plant: device")[0])
+        said = rig.status("plant: device")[0]
+        assert said.startswith(
+            "simulates integrated, seed 3, effects {creep: {share: 0.05}}, noise on, lockstep"
+        )
+        assert set(stamps) == {1}

@@ -16,11 +16,14 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from vo2_interface.diagnostics import Diagnostics
+from vo2_interface.emergency_stop import EmergencyStop
 from vo2_interface.executable import run_nodes
+from vo2_interface.inputs import SampleInput
 from vo2_interface.lockstep import HOLD_SAMPLES, REPEAT_S
 from vo2_interface.model import PRESETS, model_parameters
 from vo2_interface.parameters import ParameterTable
 from vo2_interface.samples import ClockWriter, SampleReader, SampleWriter
+from vo2_interface.timers import create_steady_timer
 from vo2_interface.timing import LoopTiming
 from vo2_interface.topics import (
     CLOCK,
@@ -28,7 +31,6 @@ from vo2_interface.topics import (
     COMMAND_CHANNELS,
     DEFAULT_NAMESPACE,
     MEASUREMENT,
-    READ_QOS,
     SAFE_CURRENT_A,
     SAMPLE_QOS,
 )
@@ -61,6 +63,8 @@ _START_NS = 1_000_000_000
 """Stamp of the first simulated sample: zero means "no time" in ROS."""
 _CLOCK_NS = 10_000_000
 _BEAT_NS = 1_000_000_000
+_CLOCKS_S = 1.0
+"""Wall time between two looks for others that tell the time [s]."""
 _LATE = 0.75
 """Share of a period by which a sample may be late before it counts as skipped."""
 
@@ -102,15 +106,30 @@ class PlantNode(Node):
         self._clock_out = None
         if self._lockstep and self._table.flag("clock"):
             self._clock_out = self.create_publisher(Clock, CLOCK, SAMPLE_QOS)
-        self.create_subscription(JointState, COMMAND, self._on_command, READ_QOS, raw=True)
+        SampleInput(self, COMMAND, self._on_command, self._diagnostics)
+        self._stop = EmergencyStop(self, self._diagnostics)
+        self._clocks_seen_at = 0.0
         self._published_at = time.monotonic()
         if self._lockstep:
             self._advance(SAFE_CURRENT_A)
             self._publish()
-            self.create_timer(REPEAT_S / 4.0, self._on_quiet)
+            create_steady_timer(self, REPEAT_S / 4.0, self._on_quiet)
         else:
             self._due_s = 0.0
-            self.create_timer(self._device.period, self._on_tick)
+            create_steady_timer(self, self._device.period, self._on_tick)
+        self._tell_device(preset)
+
+    def _tell_device(self, preset: str) -> None:
+        """Say what is simulated: from outside one device looks like another."""
+        table = self._table
+        what = f"seed {table.number('seed'):g}" if table.text("source") == "truth" else "the model of model.*"
+        parts = [
+            f"simulates {preset}, {what}",
+            f"effects {table.text('effects') or 'none'}",
+            f"noise {'on' if table.flag('noise') else 'off'}",
+            f"{table.text('time')} time at {1.0 / self._device.period:g} Hz",
+        ]
+        self._diagnostics.report("device", "ok", ", ".join(parts))
 
     def _on_command(self, data: bytes) -> None:
         stamp_ns, (current,) = self._reader.read(data)
@@ -137,8 +156,8 @@ class PlantNode(Node):
             self._diagnostics.report(
                 "command",
                 "warn",
-                f"a command is stamped {(stamp_ns - self._stamp_ns) * 1e-9:g} s ahead of the measurement and is dropped; "
-                "a command must carry the stamp of the measurement that it answers",
+                "commands stamped ahead of the measurement are dropped: is there a second plant in this namespace? "
+                "A command must carry the stamp of the measurement that it answers",
                 stamp_ns=self._stamp_ns,
             )
         elif stamp_ns == self._stamp_ns - self._period_ns and current != self._used_a:
@@ -174,8 +193,23 @@ class PlantNode(Node):
     def _on_quiet(self) -> None:
         """Lockstep, by wall time: take up a raised run_until_s, repeat a sample that nobody answered."""
         self._answer_lockstep()
-        if time.monotonic() - self._published_at >= REPEAT_S:
+        now = time.monotonic()
+        if now - self._published_at >= REPEAT_S:
             self._publish()
+        if self._clock_out is not None and now - self._clocks_seen_at >= _CLOCKS_S:
+            self._clocks_seen_at = now
+            self._look_for_clocks()
+
+    def _look_for_clocks(self) -> None:
+        others = self.count_publishers(CLOCK) - 1
+        if others > 0:
+            self._diagnostics.report(
+                "clock",
+                "warn",
+                f"{others} more on {CLOCK}: let one plant tell the time, clock:=false on the others",
+            )
+        elif self._diagnostics.level("clock") != "ok":
+            self._diagnostics.report("clock", "ok", f"alone on {CLOCK} again")
 
     def _on_tick(self) -> None:
         """Wall time: keep the pace, whoever answers."""
@@ -210,12 +244,15 @@ class PlantNode(Node):
             self._diagnostics.report("pace", "ok", "wall time", self._timing.values())
 
     def _advance(self, current_a: float) -> None:
+        if self._stop.active:
+            current_a = SAFE_CURRENT_A
         values = self._device.step(current_a)
         self._used_a = current_a
         self._index += 1
         self._stamp_ns = self._start_ns + self._index * self._period_ns
         true = self._device.true_values() if self._truth else ()
         self._answer = self._writer.write(self._stamp_ns, (*values, *true))
+        self._diagnostics.note_sample(self._answer)
         if self._lockstep and self._index % self._beat_every == 0:
             self._diagnostics.beat(self._stamp_ns)
 
