@@ -10,7 +10,16 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-__all__ = ["FRAME_AT", "LITTLE_ENDIAN", "STAMP_AT", "CdrError", "Layout", "blank_sample", "read_layout"]
+__all__ = [
+    "FRAME_AT",
+    "LITTLE_ENDIAN",
+    "STAMP_AT",
+    "CdrError",
+    "CountError",
+    "Layout",
+    "blank_sample",
+    "read_layout",
+]
 
 LITTLE_ENDIAN = b"\x00\x01"
 _BIG_ENDIAN = b"\x00\x00"
@@ -24,6 +33,10 @@ _MOST_NAMES = 10_000
 
 class CdrError(ValueError):
     """Bytes that are no JointState; the text says why."""
+
+
+class CountError(CdrError):
+    """A whole JointState with another number of names than of positions."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +62,7 @@ def read_layout(data: bytes) -> Layout:
 
     Raises
     ------
-    CdrError : no such message, one cut short, or one with another number of names than of positions.
+    CdrError : no such message, one cut short, or one with another number of names than of positions (CountError).
     """
     if data[:2] not in (LITTLE_ENDIAN, _BIG_ENDIAN):
         raise CdrError("not CDR of either byte order")
@@ -81,7 +94,7 @@ def read_layout(data: bytes) -> Layout:
     if at + 8 * values > len(data):
         raise CdrError(f"the message announces {values} values, but ends before them")
     if values != expected:
-        raise CdrError(f"the message has {expected} names for {values} values")
+        raise CountError(f"the message has {expected} names for {values} values")
     return Layout(tuple(names), frame, at, data[:2] == LITTLE_ENDIAN)
 
 

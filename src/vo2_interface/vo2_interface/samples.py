@@ -2,7 +2,7 @@
 
 A loop exchanges some thousand samples a second, always with the same names. So the names are laid out
 once: writing a sample packs a stamp and a few doubles between prepared bytes, reading one compares these
-with the layout seen last and unpacks. Any other layout is read by the ordinary message classes.
+with the layout seen last and unpacks.
 """
 
 from __future__ import annotations
@@ -17,7 +17,15 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from vo2_interface.joint_state_cdr import FRAME_AT, LITTLE_ENDIAN, STAMP_AT, blank_sample, read_layout
+from vo2_interface.joint_state_cdr import (
+    FRAME_AT,
+    LITTLE_ENDIAN,
+    STAMP_AT,
+    CdrError,
+    CountError,
+    blank_sample,
+    read_layout,
+)
 
 __all__ = [
     "ClockWriter",
@@ -32,6 +40,7 @@ __all__ = [
 _NAN = float("nan")
 _STAMP = struct.Struct("<iI")
 _NS = 1_000_000_000
+_DAMAGED = "it is cut short or no sensor_msgs/msg/JointState"
 
 
 class MalformedSampleError(ValueError):
@@ -144,20 +153,33 @@ class SampleReader:
 
     def _read_new_layout(self, data: bytes) -> tuple[int, tuple[float, ...]]:
         try:
+            layout = read_layout(data)
+        except CountError:
+            return self._read_by_names(data)
+        except CdrError as error:
+            raise MalformedSampleError(_DAMAGED) from error
+        order = "<" if layout.little_endian else ">"
+        body = layout.values_at - FRAME_AT
+        unpack = struct.Struct(f"{order}{STAMP_AT}xiI{body}x{len(layout.names)}d").unpack_from
+        found = unpack(data)
+        stamp_ns = _checked_stamp_ns(found[0], found[1])
+        self.names, self.device = layout.names, layout.frame
+        self._pick = _picker(self.names, self.channels)
+        self._unpack = unpack
+        self._body, self._body_end = bytes(data[FRAME_AT : layout.values_at]), layout.values_at
+        # a message of the other byte order never compares equal, and comes here every time
+        self._size = len(data)
+        return stamp_ns, self._pick(found)
+
+    def _read_by_names(self, data: bytes) -> tuple[int, tuple[float, ...]]:
+        """Read a message with fewer or more values than names: a channel without a value becomes NaN."""
+        try:
             message = deserialize_message(data, JointState)
         except Exception as error:  # rclpy raises what its C layer and its text decoder say
-            raise MalformedSampleError("it is cut short or no sensor_msgs/msg/JointState") from error
-        stamp_ns = _checked_stamp_ns(message.header.stamp.sec, message.header.stamp.nanosec)
-        self.names = tuple(message.name)
-        self.device = message.header.frame_id
+            raise MalformedSampleError(_DAMAGED) from error
+        self.names, self.device = tuple(message.name), message.header.frame_id
         positions = dict(zip(message.name, message.position, strict=False))
-        plain = len(message.position) == len(message.name) and not message.velocity and not message.effort
-        if plain and data[:2] == LITTLE_ENDIAN and len(set(self.names)) == len(self.names):
-            offset = read_layout(data).values_at
-            self._body, self._body_end = bytes(data[FRAME_AT:offset]), offset
-            self._size = len(data)
-            self._unpack = struct.Struct(f"<{STAMP_AT}xiI{len(self._body)}x{len(self.names)}d").unpack_from
-            self._pick = _picker(self.names, self.channels)
+        stamp_ns = _checked_stamp_ns(message.header.stamp.sec, message.header.stamp.nanosec)
         return stamp_ns, tuple(float(positions.get(name, _NAN)) for name in self.channels)
 
 
