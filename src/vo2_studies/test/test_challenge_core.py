@@ -9,6 +9,8 @@ from vo2_studies.challenge.core import REVERSAL_THRESHOLD, Terms, run_core
 from vo2_studies.challenge.devices import PRESETS, draw_device
 from vo2_studies.challenge.filters import (
     backlash,
+    boxcar,
+    half_order,
     lag,
     log_relaxation,
     oscillator,
@@ -20,7 +22,7 @@ STEP = 1.25e-4
 
 def run(device, current, terms=None, step=STEP, **arrays):
     n = current.size
-    full = {"ambient": np.full(n, device.ambient), "local": np.zeros(n)} | arrays
+    full = {"ambient": np.full(n, device.ambient), "local": np.zeros(n), "pull": np.zeros(n)} | arrays
     return run_core(device, terms or Terms(), current=current, step=step, **full)
 
 
@@ -170,3 +172,26 @@ def test_presets_are_the_contracts():
     assert float(b.steady_temperature(-1.15)) == pytest.approx(25 + 57.5)
     assert float(a.steady_current(a.steady_temperature(5e-3))) == pytest.approx(5e-3)
     assert (a.sample_period, b.sample_period) == (1e-3, 0.125)
+
+
+def test_boxcar_is_the_mean_over_its_length():
+    step = 1e-3
+    ramp = np.arange(400) * step * 3.0
+    averaged = boxcar(ramp, step, 0.05)
+    assert np.allclose(averaged[60:], ramp[60:] - 3.0 * 0.025, atol=1e-12)
+    assert np.allclose(boxcar(np.full(50, 2.0), step, 0.01), 2.0)
+    # a length between two samples, against the integral
+    wave = np.sin(np.arange(400) * 0.05)
+    fine = np.interp(np.linspace(0.3 - 0.0333, 0.3, 4001), np.arange(400) * step, wave)
+    assert boxcar(wave, step, 0.0333)[300] == pytest.approx(np.trapezoid(fine, dx=1 / 4000), abs=0.05**2 / 8)
+
+
+def test_half_order_memory_has_its_frequency_response():
+    """1 / (1 + sqrt(i w tau)) at one frequency, once the start has died away."""
+    step, tau, period = 1e-3, 0.05, 0.4
+    t = np.arange(20_000) * step
+    w = 2 * np.pi / period
+    out = half_order(np.sin(w * t), step, tau)[-4000:]
+    found = 2 * np.mean(out * np.exp(-1j * w * t[-4000:])) * 1j
+    # the integral over whole periods; a change per sample is centred half a step late
+    assert found == pytest.approx(1 / (1 + np.sqrt(1j * w * tau)), abs=0.01)

@@ -11,7 +11,7 @@ from vo2_studies.challenge.core import Terms, run_core
 from vo2_studies.challenge.devices import PRESETS, draw_device, log_resistance, static_deflection
 from vo2_studies.challenge.families import FAMILIES, Statistics, chosen_families, draw_film, major_loop
 from vo2_studies.challenge.families.domains import draw_grains
-from vo2_studies.challenge.families.law import absorb, advance, settle, trace
+from vo2_studies.challenge.families.law import absorb, advance, settle, trace, widen
 
 NAMES = list(PRESETS)
 
@@ -37,6 +37,7 @@ def track(device, temperatures, terms=None):
         current=np.zeros(n),
         ambient=np.full(n, device.ambient),
         local=temperatures - device.ambient,
+        pull=np.zeros(n),
         step=1e-3,
     )
     assert np.allclose(film[1:], temperatures)
@@ -220,6 +221,17 @@ def test_heat_is_shared_between_warming_and_transforming(family):
     assert again == pytest.approx(transformed, abs=1e-4)
     assert temperature - 62.0 < 2.0
     assert abs(at_rest[0] - 62.0) <= 8.0
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_widening_moves_both_branches_apart(family):
+    film = draw_film(np.random.default_rng(6), FILM, misfit=0.1, family=family)
+    wide = film._replace(structure=widen(film.structure, 1.0))
+    _, _, up, down = major_loop(film, GRID)
+    metal_up, _, wide_up, wide_down = major_loop(wide, GRID)
+    assert np.interp(0.5, wide_up, GRID) - np.interp(0.5, up, GRID) == pytest.approx(0.5, abs=0.1)
+    assert np.interp(0.5, wide_down, GRID) - np.interp(0.5, down, GRID) == pytest.approx(-0.5, abs=0.1)
+    assert np.array_equal(metal_up, major_loop(film, GRID)[0])
 
 
 def test_choice_of_families():

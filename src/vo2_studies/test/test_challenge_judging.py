@@ -52,6 +52,77 @@ def test_no_effect():
     assert judged("none", [], diagnosis("unknown")).first == "unknown"
 
 
+def test_verdicts_of_unchanged_and_drifted_devices():
+    drifted = diagnosis(verdict="drifted", moved=[moved("thermal.ambient", 5.0)])
+    assert not judged("day", [], drifted).alarm
+    assert judged("day", [], drifted).verdict and judged("day", [], diagnosis()).verdict
+    assert not judged("none", [], drifted).verdict
+    assert not judged("day", [], diagnosis("creep")).verdict
+    assert judged("one", [effect("creep")], diagnosis("creep")).verdict
+    assert not judged("one", [effect("creep")], drifted).verdict
+
+
+def moved(constant, sigmas):
+    return {"constant": constant, "was": 20.0, "is": 20.0 + 0.1 * sigmas, "std": 0.1, "unit": "K"}
+
+
+def test_moved_constants():
+    def right(verdict, *entries, kind="moved"):
+        answer = {
+            "kind": kind,
+            "device": "integrated",
+            "effects": [effect("creep")] if kind == "beside" else [],
+            "moved": [{"constant": "ambient", "by": 1.0, "unit": "K"}],
+        }
+        found = diagnosis(*(["creep"] if kind == "beside" else []), verdict=verdict, moved=list(entries))
+        return judge(answer, {"diagnosis": found}).constant
+
+    assert right("drifted", moved("thermal.ambient", 9.0))
+    assert right("drifted", moved("thermal.time_constant", 2.0), moved("thermal.ambient", -9.0))
+    assert not right("drifted", moved("thermal.time_constant", 9.0), moved("thermal.ambient", 2.0))
+    assert not right("differs", moved("thermal.ambient", 9.0))
+    assert not right("drifted")
+    assert right("differs", moved("thermal.ambient", 9.0), kind="beside")
+    # an answer of before there was `moved`
+    plain = diagnosis(verdict="differs")
+    answer = {"kind": "moved", "device": "x", "effects": [], "moved": [{"constant": "ambient"}]}
+    assert judge(answer, {"diagnosis": plain}).constant is False
+
+
+def test_families_and_siblings():
+    truth = [effect("creep", families=["structure"], siblings=["log_creep"])]
+
+    def named_as(name, **entry):
+        found = diagnosis(name)
+        found["effects"][0] |= entry
+        return judged("one", truth, found)
+
+    assert named_as("creep", family="structure").family
+    assert named_as("creep").family, "the family of a name that comes without one"
+    assert named_as("backlash").family and not named_as("backlash").top1
+    assert not named_as("series_resistance").family
+    assert named_as("unknown", family="structure").family
+    assert not named_as("unknown").family
+    # a form that another name says as much of
+    other = named_as("log_creep")
+    assert other.top1 and other.sibling and not other.wrong
+    # siblings that the diagnosis itself tells
+    told = named_as("backlash", siblings=["creep", "stiffening"])
+    assert told.sibling and not told.top1 and told.wrong
+    lag = [effect("sensor_lag", families=["sensor:tip_deflection"], signal="tip_deflection")]
+    found = diagnosis("sensor_lag")
+    assert not judged("one", lag, found).family
+    found["effects"][0]["signal"] = "tip_deflection"
+    assert judged("one", lag, found).family
+
+
+def test_stated_probabilities_of_every_effect():
+    found = diagnosis("creep", "dead_time")
+    assert judged("one", [effect("creep")], found).stated == ((0.9, True), (0.9, False))
+    assert judged("outside", [effect("composed")], diagnosis("unknown")).stated == ((0.9, True),)
+    assert judged("one", [effect("creep")], diagnosis("unknown")).stated == ((0.9, False),)
+
+
 def test_one_effect_first_and_among_three():
     right = judged("one", [effect("creep")], diagnosis("creep"))
     assert right.top1 and right.top3 and right.counted and right.first == "creep"
@@ -299,7 +370,7 @@ def test_every_effect_of_the_catalogue_has_quantities_that_it_draws():
     for entry in CATALOGUE:
         device = draw_device(np.random.default_rng(1), entry.presets[0])
         drawn = draw_effect(entry, Context(np.random.default_rng(2), device, 10.0))
-        for quantity in QUANTITIES[entry.id]:
+        for quantity in QUANTITIES[entry.id] if entry.form == "catalogue" else ():
             assert quantity.truth in drawn.parameters
             if quantity.unit:
                 assert in_base_unit(drawn.parameters[quantity.truth][1])[0] == quantity.unit

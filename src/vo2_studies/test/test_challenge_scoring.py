@@ -3,10 +3,13 @@
 import json
 
 import pytest
-from vo2_studies.challenge.confusion import confusion, confusion_png, confusion_text, page
+from vo2_studies.challenge.confusion import confusion, confusion_text
+from vo2_studies.challenge.figures import figures, hardest, interval
 from vo2_studies.challenge.judging import FAILED, NONE, Judgement
+from vo2_studies.challenge.page import challenge_page, score_lines
 from vo2_studies.challenge.parameters import Comparison
-from vo2_studies.challenge.scoring import score, wilson
+from vo2_studies.challenge.reliability import reliability
+from vo2_studies.challenge.scoring import score
 
 CONTRACT_KEYS = {
     "cases",
@@ -30,6 +33,7 @@ CONTRACT_KEYS = {
 
 def case(kind, *truth, first=NONE, **changes):
     values = {"device": "integrated", "counted": True, "failure": "", "alarm": first != NONE, "seconds": 4.0}
+    values |= {"verdict": (first != NONE) == bool(truth)}
     return Judgement(kind=kind, truth=truth, first=first, **(values | changes))
 
 
@@ -69,10 +73,61 @@ def sample():
 
 def test_wilson_interval():
     # Newcombe, Statistics in Medicine 17, 857, 1998, table I: 81 of 263
-    assert wilson(81, 263) == [pytest.approx(0.2553, abs=1e-4), pytest.approx(0.3662, abs=1e-4)]
-    assert wilson(0, 0) is None
-    assert wilson(0, 20) == [0, pytest.approx(0.1611, abs=1e-4)]
-    assert wilson(20, 20) == [pytest.approx(0.8389, abs=1e-4), pytest.approx(1)]
+    assert interval(81, 263) == (pytest.approx(0.2553, abs=1e-4), pytest.approx(0.3662, abs=1e-4))
+    assert interval(0, 20) == (0, pytest.approx(0.1611, abs=1e-4))
+
+
+def under(condition, right, kind="one"):
+    one_case = one(
+        "creep", right, settings={"condition": condition, "hysteresis": "plays"}, family=True, verdict=True
+    )
+    return one_case if kind == "one" else case(kind, verdict=True, settings={"condition": condition})
+
+
+def test_lines_count_their_kinds_and_say_what_is_wanted():
+    cases = (
+        [under("clean", True)] * 9
+        + [under("end", False)] * 9
+        + [under("end", True), under("end", True, "day")]
+    )
+    lines = {f.key: f for f in figures(cases)}
+    assert (lines["change_first_name"].rate, lines["change_first_name"].count) == (pytest.approx(10 / 19), 19)
+    assert not lines["change_first_name"].met
+    assert lines["unchanged_any_name"].met and lines["unchanged_any_name"].count == 1
+    assert "two_both" not in lines
+    split = {(f.value_of, f.key): f for f in figures(cases, "condition")}
+    assert split["clean", "change_first_name"].rate == 1.0
+    assert split["end", "change_first_name"].rate == pytest.approx(0.1)
+    first = hardest(cases)[0]
+    assert (first.heading, first.value_of, first.key) == ("condition", "end", "change_first_name")
+    assert all(f.count >= 8 for f in hardest(cases))
+    weak = [one("creep", False, counted=False, settings={"condition": "end"})] * 9
+    assert figures(weak) == []
+
+
+def test_reliability_bins_hold_stated_and_true_shares():
+    cases = [one("creep", True, stated=((0.97, True),))] * 9 + [
+        one("creep", False, stated=((0.97, False), (0.4, True)))
+    ]
+    low, high = reliability(cases)
+    assert (low["count"], low["stated"], low["observed"]) == (1, pytest.approx(0.4), 1.0)
+    assert (high["from"], high["count"], high["observed"]) == (0.95, 10, pytest.approx(0.9))
+    assert high["interval"][0] < 0.9 < high["interval"][1]
+    assert reliability([case("none")]) == []
+    # the ends belong to the outer bins
+    assert [b["from"] for b in reliability([one("creep", True, stated=((0.0, True), (1.0, True)))])] == [
+        0.0,
+        0.99,
+    ]
+
+
+def test_everything_that_missed_is_listed():
+    missed = score(sample())["missed"]
+    kinds = [(m["kind"], m["said"]) for m in missed]
+    assert ("none", "creep") in kinds
+    assert ("one", "dead_time") in kinds
+    assert ("two", "creep") in kinds
+    assert len([m for m in missed if m["truth"] == ["creep"] and m["said"] == "creep"]) == 0
 
 
 def test_scores():
@@ -84,7 +139,7 @@ def test_scores():
     assert scores["top1"] == pytest.approx((2 / 3 + 1 + 0) / 3)
     assert scores["top1_pooled"] == pytest.approx(3 / 5)
     assert scores["top1_count"] == 5
-    assert scores["top1_interval"] == wilson(3, 5)
+    assert scores["top1_interval"] == list(interval(3, 5))
     assert scores["top3"] == pytest.approx((2 / 3 + 1 + 0) / 3)
     assert (scores["pair_exact"], scores["pair_any"], scores["pair_extra"]) == (0.5, 1.0, 0.5)
     assert scores["outside_unknown"] == 0.5
@@ -131,8 +186,9 @@ def test_confusion_matrix_and_its_views():
     assert matrix.sum() == 4 + 5 + 2
     text = confusion_text(sample())
     assert "creep 2, dead_time 1" in text
-    assert confusion_png(sample()).startswith(b"\x89PNG")
-    html = page(score(sample()), sample(), "challenge --cases <14>")
+    html = challenge_page(score(sample()), sample(), "challenge --cases <14>")
     assert "&lt;14&gt;" in html
-    assert "data:image/png;base64," in html
-    assert "http" not in html.replace("http-equiv", "")
+    assert html.count("<svg") == 3
+    assert "src=" not in html
+    assert "Everything that missed" in html
+    assert any("two effects: both" in line[0] and line[4] == "2" for line in score_lines(score(sample())))

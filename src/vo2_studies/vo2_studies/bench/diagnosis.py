@@ -15,12 +15,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from vo2_identification.bags import write_bag
 
 from vo2_studies.bench.entry import Entry, Figure
+from vo2_studies.challenge.conditions import write_recording
 from vo2_studies.challenge.devices import PRESETS
-from vo2_studies.challenge.draw import draw_case, follow_up_recording, plan_case
+from vo2_studies.challenge.draw import draw_case, follow_up_recording
 from vo2_studies.challenge.excitation import TEST_SAMPLES, informative_current
+from vo2_studies.challenge.plan import Choice, plan_case
 
 __all__ = ["ENTRIES", "diagnosis", "diagnosis_seconds"]
 
@@ -53,19 +54,20 @@ def diagnosis_seconds(kind: str, lengths: Sequence[int], *, seed: int = _SEED) -
     ------
     RuntimeError : `fit` or `diagnose` failed; with the end of what it printed.
     """
-    plan = plan_case(seed, 0, kinds=(kind,), device="integrated")
+    plan = plan_case(seed, 0, Choice("plays", kinds=(kind,), device="integrated"))
     case = draw_case(seed, plan)
     rng = np.random.default_rng([seed, len(kind)])
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
-        write_bag(folder / "calibration", case.calibration)
+        write_recording(folder / "calibration", case.calibration.measurement, case.calibration.commands)
         calibration = ("--bag", "calibration", "--device", plan.device, "--output", "model.yaml")
         _run("fit", "--simulation-only", *calibration, folder=folder)
         times = []
         for count in lengths:
             current = np.concatenate([informative_current(rng, PRESETS[plan.device]) for _ in range(count)])
             name = f"test_{count}"
-            write_bag(folder / name, follow_up_recording(seed, plan, case.answer, current))
+            recorded = follow_up_recording(seed, plan, case.answer, current)
+            write_recording(folder / name, recorded.measurement, recorded.commands)
             options = ("--bag", name, "--model", "model.yaml", "--output", f"diagnosis_{count}")
             times.append(_run("diagnose", *options, folder=folder))
     return times

@@ -4,25 +4,35 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import signal
 import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 
 from vo2_models.io import OutputFolder, write_whole
 
-from vo2_studies.challenge.draw import KINDS, CasePlan, plan_case
+from vo2_studies.challenge.conditions import CONDITIONS
 from vo2_studies.challenge.excitation import EXCITATIONS
-from vo2_studies.challenge.families import ALL, FAMILIES, chosen_families
-from vo2_studies.challenge.runner import CaseRunner, Paths, Settings, finished, load_json, save_json
+from vo2_studies.challenge.families import ALL, FAMILIES
+from vo2_studies.challenge.plan import CLEAN, INFORMATIVE, KINDS, PRESET, RANGE, VARIED, CasePlan, Choice
+from vo2_studies.challenge.runner import (
+    CaseRunner,
+    Paths,
+    Settings,
+    finished,
+    load_json,
+    save_json,
+    write_case,
+)
 
 __all__ = ["main"]
 
-_REPORTS = ("challenge.json", "challenge.html", "confusion.png")
+_REPORTS = ("challenge.json", "challenge.html")
 _INTERRUPTED = "interrupted; finished cases are kept, the same command continues"
 
 
@@ -50,9 +60,24 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--leave-out", default="", help="with --family all: all but this one")
     parser.add_argument(
         "--excitation",
-        choices=list(EXCITATIONS),
-        default="informative",
-        help="what is recorded; on slow major loops, and more so on a single one, many effects look alike",
+        default=INFORMATIVE,
+        help=f"what is recorded: {VARIED} (in turn) or one of {', '.join(EXCITATIONS)}; on slow major loops, and more so "
+        "on a single one, many effects look alike",
+    )
+    parser.add_argument(
+        "--condition",
+        default=CLEAN,
+        help=f"how it is recorded: {VARIED} (in turn) or one of {', '.join(CONDITIONS)}",
+    )
+    parser.add_argument(
+        "--samples",
+        default="",
+        help="of the recording, N or N-M (drawn log-uniformly); default: the excitation's",
+    )
+    parser.add_argument(
+        "--rigs",
+        default=PRESET,
+        help=f"{PRESET}, or {RANGE}: currents, times and ranges over factors of 3 about it, told by a device file",
     )
     parser.add_argument(
         "--timeout", type=float, default=300.0, help="seconds for each fit and each diagnosis"
@@ -87,6 +112,29 @@ def _words(text: str) -> tuple[str, ...]:
     return tuple(word.strip() for word in text.split(",") if word.strip())
 
 
+def _samples(text: str) -> tuple[int, int] | None:
+    if not text:
+        return None
+    low, _, high = text.partition("-")
+    if not low.isdecimal() or not (high or low).isdecimal():
+        raise ValueError(f"samples: found {text!r}, need N or N-M")
+    return int(low), int(high or low)
+
+
+def _choice(arguments: argparse.Namespace) -> Choice:
+    return Choice(
+        family=arguments.family,
+        leave_out=arguments.leave_out,
+        device=arguments.device,
+        only_effects=_words(arguments.only_effects),
+        kinds=_words(arguments.kinds),
+        condition=arguments.condition,
+        excitation=arguments.excitation,
+        samples=_samples(arguments.samples),
+        rigs=arguments.rigs,
+    )
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return 0, 2 on unusable arguments, 130 when interrupted."""
     arguments = _parser().parse_args(argv)
@@ -98,16 +146,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
-    settings = Settings(
-        arguments.seed,
-        arguments.misfit,
-        arguments.family,
-        arguments.leave_out,
-        arguments.device,
-        _words(arguments.only_effects),
-        _words(arguments.kinds),
-        arguments.excitation,
-    )
     try:
         if arguments.cases < 1 or arguments.jobs < 1 or arguments.seed < 0:
             raise ValueError(
@@ -115,18 +153,8 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
             )
         if not 0 <= arguments.misfit <= 0.3:
             raise ValueError(f"misfit: found {arguments.misfit}, need 0 to 0.3")
-        families = chosen_families(arguments.family, arguments.leave_out)
-        plans = [
-            plan_case(
-                settings.seed,
-                index,
-                only_effects=settings.only_effects,
-                device=settings.device,
-                kinds=settings.kinds,
-                families=families,
-            )
-            for index in range(arguments.cases)
-        ]
+        settings = Settings(arguments.seed, arguments.misfit, _choice(arguments))
+        plans = [settings.plan(index) for index in range(arguments.cases)]
         paths = Paths(arguments.output.resolve())
         _claim(paths, settings)
     except (ValueError, OSError) as error:
@@ -158,34 +186,32 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
 
 def _claim(paths: Paths, settings: Settings) -> None:
     """Record the settings in the output folder, or check that they are those it was begun with."""
-    wanted = {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(settings).items()}
+    wanted = json.loads(json.dumps(asdict(settings)))
     file = paths.root / "settings.json"
     if file.exists():
         # a setting that is younger than the folder had its default
-        found = {field.name: field.default for field in fields(Settings)} | load_json(file)
-        found = {key: list(v) if isinstance(v, tuple) else v for key, v in found.items()}
-        if found != wanted:
-            different = ", ".join(key for key in wanted if found.get(key) != wanted[key])
-            raise ValueError(f"output: {paths.root} was begun with another {different}, need another folder")
+        found = _flat(json.loads(json.dumps(asdict(Settings(0))))) | _flat(load_json(file))
+        if different := [key for key, value in _flat(wanted).items() if found.get(key) != value]:
+            raise ValueError(
+                f"output: {paths.root} was begun with another {', '.join(different)}, need another folder"
+            )
         return
     # without its settings nothing in it is ours
     OutputFolder(paths.root, ("answers", "cases", "results", *_REPORTS)).check()
     save_json(file, wanted)
 
 
-def _write_bags(plans: Sequence[CasePlan], paths: Paths, settings: Settings) -> int:
-    from vo2_identification.bags import write_bag
+def _flat(settings: dict) -> dict:
+    """Return settings with what they choose from beside them."""
+    return {key: value for key, value in settings.items() if key != "choice"} | settings.get("choice", {})
 
+
+def _write_bags(plans: Sequence[CasePlan], paths: Paths, settings: Settings) -> int:
     for plan in plans:
         if paths.answer(plan.index).exists() and (paths.case(plan.index) / "test" / "metadata.yaml").exists():
             continue
-        case = settings.case(plan)
-        folder = paths.case(plan.index)
-        folder.mkdir(parents=True, exist_ok=True)
-        write_bag(folder / "calibration", case.calibration)
-        write_bag(folder / "test", case.test)
-        save_json(paths.answer(plan.index), case.answer)
-        print(f"[{plan.index + 1}/{len(plans)}] {folder}", file=sys.stderr)
+        write_case(settings.case(plan), paths)
+        print(f"[{plan.index + 1}/{len(plans)}] {paths.case(plan.index)}", file=sys.stderr)
     return 0
 
 
@@ -236,22 +262,22 @@ def _duration(seconds: float) -> str:
 
 
 def _report(plans: Sequence[CasePlan], paths: Paths, argv: Sequence[str] | None) -> None:
-    """Score what is finished; write challenge.json, confusion.png and challenge.html; print the scores."""
-    from vo2_studies.challenge.confusion import confusion_png, confusion_text, page, score_lines
+    """Score what is finished; write challenge.json and challenge.html; print the scores."""
+    from vo2_studies.challenge.confusion import confusion_text
     from vo2_studies.challenge.judging import judge
+    from vo2_studies.challenge.page import challenge_page, score_lines
     from vo2_studies.challenge.scoring import score
 
     indices = [plan.index for plan in plans if finished(paths, plan.index)]
     if not indices:
         return
     judgements = [judge(load_json(paths.answer(k)), load_json(paths.result(k))) for k in indices]
-    scores = score(judgements)
+    scores = score(judgements) | {"drawn": load_json(paths.root / "settings.json")}
     save_json(paths.root / "challenge.json", scores)
-    write_whole(paths.root / "confusion.png", confusion_png(judgements))
     command = "./vo2 run vo2_identification challenge " + " ".join(sys.argv[1:] if argv is None else argv)
-    write_whole(paths.root / "challenge.html", page(scores, judgements, command))
+    write_whole(paths.root / "challenge.html", challenge_page(scores, judgements, command))
     print(confusion_text(judgements))
     print()
-    for words, value, spread, verdict in score_lines(scores):
-        print(f"{words:40s}{value:>9s}  {spread:24s}{verdict}")
+    for words, _, value, spread, count, wanted, verdict in score_lines(scores):
+        print(f"{words:56s}{value:>8s}  {spread:14s}{'n ' + count if count else '':8s}{wanted:15s}{verdict}")
     print(f"\n{paths.root / 'challenge.json'}\n{paths.root / 'challenge.html'}")

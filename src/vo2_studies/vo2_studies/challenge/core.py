@@ -72,7 +72,9 @@ def _rate(t1, power, ambient, tau, fraction, cooling_ratio, beta, exponent, gamm
 
 
 @kernel
-def _core(current, ambient, local, step, tau, gain, squared, terms, film, start, law_m, law_s, feedback):
+def _core(
+    current, ambient, local, pull, step, tau, gain, squared, terms, film, start, law_m, law_s, feedback
+):
     """Run the coupled part; see `run_core`."""
     n = current.size
     temperature = np.empty(n + 1)
@@ -106,7 +108,7 @@ def _core(current, ambient, local, step, tau, gain, squared, terms, film, start,
         if terms.slow_gain != 0.0:
             fade = np.exp(-step / terms.slow_time)
             t2 = fade * t2 + (1 - fade) * terms.slow_gain * power
-        common = t2 + local[k] - terms.training * reversals
+        common = t2 + local[k] + pull[k] - terms.training * reversals
         shift_m = common + feedback * (slow_m - 0.5)
         # Runge-Kutta does not see the film stop the temperature within a step: shorter ones with latent heat
         inner = 4 if terms.latent != 0.0 and not kinetic else 1
@@ -146,7 +148,7 @@ def _core(current, ambient, local, step, tau, gain, squared, terms, film, start,
 
 
 def run_core(
-    device: Device, terms: Terms, *, current: Array, ambient: Array, local: Array, step: float
+    device: Device, terms: Terms, *, current: Array, ambient: Array, local: Array, pull: Array, step: float
 ) -> tuple[Array, Array, Array, Array, int]:
     """Run device temperature and phase from rest at ambient temperature, reached from the cold.
 
@@ -157,6 +159,7 @@ def run_core(
     current : heater current over each of n steps [A], constant within a step
     ambient : ambient temperature of each step [degC]
     local : film and cantilever above the heated body [K]
+    pull : what the transition sees besides the film's temperature [K]
     step : length of a step [s]
 
     Returns
@@ -177,7 +180,7 @@ def run_core(
     )
     film, terms = device.film, Terms(*map(float, terms))
     temperature, film_temperature, metal, structure, reversals = _core(
-        current, ambient, local, step, device.time_constant, device.gain, device.preset.squared, terms, electrical,
+        current, ambient, local, pull, step, device.time_constant, device.gain, device.preset.squared, terms, electrical,
         float(device.ambient), film.metal, film.structure, film.feedback + terms.feedback,
     )  # fmt: skip
     return temperature, film_temperature, metal, structure, int(reversals)

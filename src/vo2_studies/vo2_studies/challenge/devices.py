@@ -5,18 +5,27 @@ Numbers not in the contract's table carry their source beside them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vo2_studies.challenge.families import Film, Statistics, draw_film, major_loop
 
-__all__ = ["PRESETS", "Device", "Preset", "draw_device", "log_resistance", "static_deflection"]
+__all__ = ["PRESETS", "Device", "Preset", "Scales", "draw_device", "log_resistance", "static_deflection"]
 
 Array = NDArray[np.floating]
 ARRHENIUS = 8.617333262e-5 * np.log(10)
 """k_B ln 10 [eV/K]: log10 R = log10 R_ref + E_a / ARRHENIUS (1/T - 1/T_ref)."""
+
+
+class Scales(NamedTuple):
+    """How many times a rig's current, times and deflection are those of the preset it is drawn around."""
+
+    current: float = 1.0
+    time: float = 1.0
+    deflection: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -44,6 +53,7 @@ class Preset:
     substeps: int
     has_temperature: bool
     expansion: tuple[float, float]
+    scales: Scales = field(default_factory=Scales)
 
     def steady_temperature(self, current: Array | float) -> Array:
         """Return the nominal steady temperature [degC] at `current` [A]."""
@@ -121,6 +131,7 @@ class Device:
     strain : deflection by the complete structural transition [m]
     expansion_cold, expansion_hot : differential expansion k0, k1 of (5.7), as deflection per kelvin [m/K]
     rest : deflection at ambient temperature [m]
+    film_shift : the film's transition is this much below what its thresholds say [K]
     """
 
     preset: Preset
@@ -139,6 +150,7 @@ class Device:
     expansion_cold: float
     expansion_hot: float
     rest: float
+    film_shift: float = 0.0
 
 
 def log_resistance(device: Device, fraction: Array, temperature: Array) -> Array:
@@ -158,8 +170,10 @@ def static_deflection(device: Device, fraction: Array, temperature: Array) -> Ar
     return np.asarray(device.rest + device.strain * fraction - slope * (temperature - device.ambient))
 
 
-def draw_device(rng: np.random.Generator, name: str, *, misfit: float = 0.1, family: str = "plays") -> Device:
-    """Draw a device around preset `name`.
+def draw_device(
+    rng: np.random.Generator, rig: str | Preset, *, misfit: float = 0.1, family: str = "plays"
+) -> Device:
+    """Draw a device around a preset or its name.
 
     Spread: transition mean 1 K, all widths and scales 8 per cent, time constant 8, gain and ranges 3 per cent.
 
@@ -167,9 +181,9 @@ def draw_device(rng: np.random.Generator, name: str, *, misfit: float = 0.1, fam
     ------
     ValueError : unknown preset
     """
-    if name not in PRESETS:
-        raise ValueError(f"device: found {name!r}, need one of {', '.join(PRESETS)}")
-    preset = PRESETS[name]
+    if isinstance(rig, str) and rig not in PRESETS:
+        raise ValueError(f"device: found {rig!r}, need one of {', '.join(PRESETS)}")
+    preset = PRESETS[rig] if isinstance(rig, str) else rig
 
     def spread(value: float, share: float) -> float:
         return float(value * (1 + share * np.clip(rng.standard_normal(), -2, 2)))

@@ -1,54 +1,49 @@
-"""Draw cases: which kind, which device, which effects; then both recordings and the answer.
-
-The plan of case i depends on the seed and on i only, so that a longer run continues a shorter one. Of eight
-cases two have no effect, four have one, one has two, one has an effect outside the catalogue; single effects are
-taken in turn, a shuffled catalogue at a time, and each effect in turn on the presets it applies to.
-"""
+"""Draw a planned case: the rig, both recordings, and the answer."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, Recording
 
-from vo2_studies.challenge.catalogue import CATALOGUE, OUTSIDE, draw_effect, find
-from vo2_studies.challenge.devices import PRESETS, Device, draw_device
+from vo2_studies.challenge.catalogue import draw_effect, families, forms, redrawn
+from vo2_studies.challenge.conditions import Condition, draw_condition
+from vo2_studies.challenge.constants import CONSTANTS, another_day, draw_move
+from vo2_studies.challenge.device_files import draw_preset
+from vo2_studies.challenge.devices import PRESETS, Device, Preset, draw_device
 from vo2_studies.challenge.effect import ConcealedEffect, Context, Drawn
 from vo2_studies.challenge.excess import branch_of, excess_by_channel
-from vo2_studies.challenge.excitation import EXCITATIONS, calibration_current
-from vo2_studies.challenge.rig import Noise, Plan, Truth, draw_rig_noise, log_channels, simulate
+from vo2_studies.challenge.excitation import calibration_current, excitation
+from vo2_studies.challenge.outside import COMPOSED, describe
+from vo2_studies.challenge.plan import RANGE, CasePlan
+from vo2_studies.challenge.rig import Noise, Plan, Truth, channels_of, draw_rig_noise, log_channels, simulate
 
-__all__ = ["KINDS", "Case", "CasePlan", "draw_case", "follow_up_recording", "plan_case"]
+__all__ = ["Case", "Recorded", "draw_case", "follow_up_recording"]
 
-KINDS = ("none", "one", "two", "outside")
-ROUND = ("none", "one", "two", "one", "none", "one", "outside", "one")
-EXCESS_RANGE = {"one": (3.0, 1000.0), "two": (12.0, 1000.0), "outside": (12.0, 1000.0)}
+EXCESS_RANGE = {
+    "one": ((3.0, 1000.0),),
+    "always": ((12.0, 1000.0),),
+    "beside": ((12.0, 1000.0),),
+    "two": ((60.0, 3000.0), (12.0, 300.0)),
+    "outside": ((12.0, 1000.0),),
+}
 """Excess residual aimed at, in units of the noise power, for each effect of a case of this kind.
 
 A draw outside is repeated up to `TRIES` times. Single effects reach below the 10 from which they are scored.
 """
 TRIES = 16
-CONFUSABLE = (
-    {"sensor_lag", "clock_offset", "sensor_gain_drift", "adc_saturation", "adc_quantization"},
-    {"driver_saturation", "driver_slew", "driver_deadzone"},
-)
-"""A case of two effects takes at most one of each group: two converters on one channel are no separate effects."""
 
 Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
-class CasePlan:
-    """What case `index` is about: kind, preset, effect ids, family of the hysteresis."""
+class Recorded:
+    """One recording as a bag holds it: measurements, and the stamps [s] and currents [A] of the commands."""
 
-    index: int
-    kind: str
-    device: str
-    effects: tuple[str, ...]
-    family: str = "plays"
+    measurement: Recording
+    commands: tuple[Array, Array]
 
 
 @dataclass(frozen=True)
@@ -58,173 +53,171 @@ class Case:
     Attributes
     ----------
     plan : what was planned
-    calibration, test : recordings, effect-free and with the effects
+    preset : the rig as its data sheet tells it
+    calibration, test : what the rig recorded
     answer : JSON-ready truth
     """
 
     plan: CasePlan
-    calibration: Recording
-    test: Recording
+    preset: Preset
+    calibration: Recorded
+    test: Recorded
     answer: dict
 
 
-def _turn(seed: int, stream: int, count: int, number: int) -> int:
-    """Return the `number`-th element of an endless sequence of shuffled decks of `count` cards."""
-    deck, card = divmod(number, count)
-    return int(np.random.default_rng([seed, stream, deck]).permutation(count)[card])
+@dataclass(frozen=True)
+class _Rig:
+    """A drawn device with its sensors: what all recordings of a case share."""
+
+    device: Device
+    noise: Noise
+    shunt: bool
+    condition: Condition
+
+    def run(
+        self, device: Device, command: Array, plan: Plan, rng: np.random.Generator
+    ) -> tuple[Truth, Recorded]:
+        """Return the truth of one run and what is recorded of it."""
+        jitter = self.condition.draw_jitter(rng, command.size)
+        truth = simulate(device, command, plan, jitter)
+        return truth, self.record(truth, plan, rng)
+
+    def record(self, truth: Truth, plan: Plan, rng: np.random.Generator) -> Recorded:
+        """Return what is recorded of a run; it starts at a random stamp."""
+        channels = log_channels(truth, plan, self.noise, rng, shunt=self.shunt)
+        commanded = np.concatenate([[np.nan], truth.command[:-1]])
+        start = float(rng.integers(10, 1000))
+        period = self.device.preset.sample_period
+        whole = Recording(
+            np.asarray(start + truth.time, dtype=np.float64),
+            channels | {COMMANDED_CURRENT: commanded},
+            self.device.preset.name,
+        )
+        stamps = start + np.arange(truth.command.size - 1) * period + self.condition.command_shift
+        return Recorded(self.condition.spoil(rng, whole, self.noise), (stamps, truth.command[:-1]))
 
 
-def plan_case(
-    seed: int,
-    index: int,
-    *,
-    only_effects: Sequence[str] = (),
-    device: str | None = None,
-    kinds: Sequence[str] = (),
-    families: Sequence[str] = ("plays",),
-) -> CasePlan:
-    """Return the plan of case `index`; `families` are taken in turn, a shuffled deck at a time.
-
-    With `only_effects` every case has one effect, of these; `device` restricts to one preset (an effect that does
-    not apply to it is left out); `kinds` restricts the kinds, in the order of the contract's shares.
-
-    Raises
-    ------
-    ValueError : unknown effect, device or kind, or nothing left to draw from.
-    """
-    if device is not None and device not in PRESETS:
-        raise ValueError(f"device: found {device!r}, need one of {', '.join(PRESETS)}")
-    if unknown := sorted(set(kinds) - set(KINDS)):
-        raise ValueError(f"kinds: found {', '.join(unknown)}, need some of {', '.join(KINDS)}")
-    cycle = [kind for kind in ROUND if not kinds or kind in kinds]
-    if only_effects:
-        cycle = ["one"]
-    kind = cycle[index % len(cycle)]
-    # how many of this kind came before: its turn in the deck
-    number = index // len(cycle) * cycle.count(kind) + cycle[: index % len(cycle)].count(kind)
-    family = families[_turn(seed, 37, len(families), index)]
-    rng = np.random.default_rng([seed, 11, index])
-    presets = list(PRESETS) if device is None else [device]
-
-    def usable(effects: Sequence[ConcealedEffect]) -> list[ConcealedEffect]:
-        left = [effect for effect in effects if set(effect.presets) & set(presets)]
-        if not left:
-            raise ValueError(f"effects: found none that applies to {', '.join(presets)}")
-        return left
-
-    if kind == "none":
-        return CasePlan(index, kind, presets[number % len(presets)], (), family)
-    if kind == "two":
-        name = presets[number % len(presets)]
-        pool = [effect for effect in CATALOGUE if name in effect.presets]
-        first = pool[_turn(seed, 13, len(pool), number // len(presets))]
-        rivals = [e for e in pool if e is not first and not any({e.id, first.id} <= g for g in CONFUSABLE)]
-        return CasePlan(index, kind, name, (first.id, rivals[int(rng.integers(len(rivals)))].id), family)
-    wanted = [find(name) for name in only_effects] if only_effects else CATALOGUE
-    pool = usable(OUTSIDE if kind == "outside" else wanted)
-    effect = pool[_turn(seed, 17 if kind == "one" else 19, len(pool), number)]
-    where = [name for name in effect.presets if name in presets]
-    deck = number // len(pool)
-    start = int(np.random.default_rng([seed, 23, pool.index(effect)]).integers(len(where)))
-    return CasePlan(index, kind, where[(deck + start) % len(where)], (effect.id,), family)
-
-
-def _case_parts(seed: int, plan: CasePlan, misfit: float) -> tuple[np.random.Generator, Device, Noise, bool]:
-    """Return the case's randomness after drawing device, noise and whether the rig logs the true current."""
+def _rig(seed: int, plan: CasePlan, misfit: float) -> tuple[np.random.Generator, _Rig]:
+    """Return the case's randomness after drawing the rig."""
     rng = np.random.default_rng([seed, 29, plan.index])
-    device = draw_device(rng, plan.device, misfit=misfit, family=plan.family)
+    preset = PRESETS[plan.device]
+    if plan.rigs == RANGE:
+        preset = draw_preset(np.random.default_rng([seed, 59, plan.index]), preset)
+    device = draw_device(rng, preset, misfit=misfit, family=plan.family)
     noise = draw_rig_noise(rng, device)
-    shunt = bool(rng.random() < 0.5) and not any(find(name).needs_set_value for name in plan.effects)
-    return rng, device, noise, shunt
-
-
-def draw_case(
-    seed: int,
-    plan: CasePlan,
-    *,
-    misfit: float = 0.1,
-    excitation: str = "informative",
-) -> Case:
-    """Draw the case of `plan`: same arguments, same recordings bit for bit. `excitation` is one of `EXCITATIONS`."""
-    rng, device, noise, shunt = _case_parts(seed, plan, misfit)
-    preset = device.preset
-    calibration = _record(
-        device, simulate(device, calibration_current(rng, preset), Plan()), Plan(), noise, rng, shunt
+    needs_set_value = any(form.needs_set_value for name in plan.effects for form in forms(name))
+    shunt = bool(rng.random() < 0.5) and not needs_set_value
+    condition = draw_condition(
+        np.random.default_rng([seed, 61, plan.index]),
+        plan.condition,
+        preset.sample_period,
+        channels_of(device),
     )
-    command = EXCITATIONS[excitation](rng, preset)
-    clean = simulate(device, command, Plan())
+    return rng, _Rig(device, noise, shunt, condition)
+
+
+def _changed(seed: int, plan: CasePlan, device: Device) -> tuple[Device, dict]:
+    """Return the device on the day of the test and what the answer says of it."""
+    rng = np.random.default_rng([seed, 67, plan.index])
+    said: dict = {"day": {}, "moved": []}
+    if plan.kind == "day":
+        device, said["day"] = another_day(rng, device)
+    if plan.constant:
+        (constant,) = (one for one in CONSTANTS if one.name == plan.constant)
+        by = draw_move(rng, constant)
+        device = constant.move(device, by)
+        said["moved"] = [{"constant": constant.name, "by": by, "unit": constant.unit}]
+    return device, said
+
+
+def draw_case(seed: int, plan: CasePlan, *, misfit: float = 0.1) -> Case:
+    """Draw the case of `plan`: same arguments, same recordings bit for bit."""
+    rng, rig = _rig(seed, plan, misfit)
+    preset, noise = rig.device.preset, rig.noise
+    first = calibration_current(rng, preset)
+    command = excitation(rng, preset, plan.excitation, plan.samples)
+    device, said = _changed(seed, plan, rig.device)
+    jitter = rig.condition.draw_jitter(rng, command.size)
+    clean = simulate(device, command, Plan(), jitter)
+    unchanged = clean if device is rig.device else simulate(rig.device, command, Plan(), jitter)
     context = Context(rng, device, command.size * preset.sample_period)
     drawn, each = [], []
-    for name in plan.effects:
+    limits = EXCESS_RANGE.get(plan.kind, ())
+    order = rng.permutation(len(plan.effects))  # which of two is the larger
+    for k, name in enumerate(plan.effects):
         effect, alone, excess = _draw_in_range(
-            find(name), context, clean, command, noise, EXCESS_RANGE[plan.kind]
+            forms(name), context, clean, command, noise, limits[int(order[k])], jitter
         )
         drawn.append(effect)
         each.append((alone, excess))
     together = Plan()
     for effect in drawn:
         effect.into(together, context)
-    truth = each[0][0] if len(drawn) == 1 else simulate(device, command, together)
-    test = _record(device, truth, together, noise, rng, shunt)
-    excess = excess_by_channel(clean, truth, together, noise)
+    truth = each[0][0] if len(drawn) == 1 else simulate(device, command, together, jitter)
+    test = rig.record(truth, together, rng)
+    _, calibration = rig.run(rig.device, first, together if plan.kind == "always" else Plan(), rng)
+    excess = excess_by_channel(unchanged, truth, together, noise)
     answer = {
         "index": plan.index,
         "kind": plan.kind,
         "device": plan.device,
         "duration_s": context.duration,
-        "logged_current": "shunt" if shunt else "set",
+        "samples": int(command.size),
+        "logged_current": "shunt" if rig.shunt else "set",
         "misfit": misfit,
         "family": plan.family,
+        "condition": plan.condition,
+        "command_delay_s": -rig.condition.command_shift,
+        "excitation": plan.excitation,
+        "rig": {"id": preset.name, "scales": preset.scales._asdict()},
+        **said,
         "effects": [
-            _effect_answer(effect, alone_excess, clean, alone, noise, shunt, context)
+            _effect_answer(effect, alone_excess, clean, alone, noise, rig.shunt, context)
             for effect, (alone, alone_excess) in zip(drawn, each, strict=True)
         ],
         "excess_by_channel": excess,
         "excess": max(excess.values(), default=0.0),
         "noise": {name: {"sd": n.sd, "coloured": n.coloured, "rho": n.rho} for name, n in noise.items()},
     }
-    return Case(plan, calibration, test, answer)
+    return Case(plan, preset, calibration, test, answer)
 
 
 def follow_up_recording(
-    seed: int,
-    plan: CasePlan,
-    answer: dict,
-    command: Array,
-    *,
-    misfit: float = 0.1,
-) -> Recording:
+    seed: int, plan: CasePlan, answer: dict, command: Array, *, misfit: float = 0.1
+) -> Recorded:
     """Return a recording of the same concealed device with the same effects, driven with `command` (n,) [A].
 
     This is what a user gets who plays the experiment that the diagnosis proposes.
     """
-    _, device, noise, shunt = _case_parts(seed, plan, misfit)
+    _, rig = _rig(seed, plan, misfit)
+    device, _ = _changed(seed, plan, rig.device)
     rng = np.random.default_rng([seed, 31, plan.index])
     # drifts keep the pace that they had in the first recording
     context = Context(rng, device, answer["duration_s"])
     together = Plan()
     for entry in answer["effects"]:
-        parameters = {name: (p["value"], p["unit"]) for name, p in entry["parameters"].items()}
-        Drawn(find(entry["id"]), parameters, entry["signal"]).into(together, context)
-    return _record(device, simulate(device, command, together), together, noise, rng, shunt)
+        redrawn(entry["id"], entry["form"], entry["parameters"], entry["signal"]).into(together, context)
+    return rig.run(device, command, together, rng)[1]
 
 
 def _draw_in_range(
-    effect: ConcealedEffect,
+    choices: tuple[ConcealedEffect, ...],
     context: Context,
     clean: Truth,
     command: Array,
     noise: Noise,
     limits: tuple[float, float],
+    jitter: Array | None,
 ) -> tuple[Drawn, Truth, dict[str, float]]:
-    """Draw `effect` until its excess is inside `limits`; else keep the draw that came nearest."""
+    """Draw one of the forms until its excess is inside `limits`; else keep the draw that came nearest."""
     best: tuple[float, Drawn, Truth, dict[str, float]] | None = None
     low, high = np.log(limits)
+    effect = choices[int(context.rng.integers(len(choices)))]
     for _ in range(TRIES):
         drawn = draw_effect(effect, context)
         plan = Plan()
         drawn.into(plan, context)
-        truth = simulate(context.device, command, plan)
+        truth = simulate(context.device, command, plan, jitter)
         excess = excess_by_channel(clean, truth, plan, noise)
         size = np.log(max(*excess.values(), 1e-9))
         miss = max(low - size, size - high, 0.0)
@@ -234,17 +227,6 @@ def _draw_in_range(
             break
     assert best is not None
     return best[1:]
-
-
-def _record(
-    device: Device, truth: Truth, plan: Plan, noise: Noise, rng: np.random.Generator, shunt: bool
-) -> Recording:
-    """Return the logged channels as a recording that starts at a random stamp."""
-    channels = log_channels(truth, plan, noise, rng, shunt=shunt)
-    commanded = np.concatenate([[np.nan], truth.command[:-1]])
-    start = float(rng.integers(10, 1000))
-    time = np.asarray(start + truth.time, dtype=np.float64)
-    return Recording(time, channels | {COMMANDED_CURRENT: commanded}, device.preset.name)
 
 
 def _effect_answer(
@@ -260,10 +242,14 @@ def _effect_answer(
     channels = [name for name, value in excess.items() if total > 0 and value >= 0.2 * total]
     if drawn.effect.driver and shunt:
         channels.append(HEATER_CURRENT)
-    values = {name: value for name, (value, _) in drawn.parameters.items()}
+    values = drawn.values
     steady = drawn.effect.id == "laser_heating" and values["switched_off"] > context.duration
     return {
         "id": drawn.effect.id,
+        "form": drawn.effect.form,
+        "siblings": list(drawn.effect.siblings),
+        "families": list(families(drawn)),
+        "composition": describe(values) if drawn.effect is COMPOSED else None,
         "signal": drawn.signal,
         "parameters": {
             name: {"value": value, "unit": unit} for name, (value, unit) in drawn.parameters.items()

@@ -42,7 +42,15 @@ class Context:
     @property
     def quick(self) -> bool:
         """Whether the device answers within a few samples (milliseconds) rather than many (half a minute)."""
-        return self.preset.name == "integrated"
+        return self.preset.squared
+
+    def seconds(self, quick: tuple[float, float], slow: tuple[float, float]) -> float:
+        """Draw a time [s] log-uniformly from the range of the preset that this rig is drawn around."""
+        return log_uniform(self.rng, *(quick if self.quick else slow)) * self.preset.scales.time
+
+    def amperes(self, quick: tuple[float, float], slow: tuple[float, float]) -> float:
+        """Draw a current [A] likewise."""
+        return log_uniform(self.rng, *(quick if self.quick else slow)) * self.preset.scales.current
 
     def place(self, share: float) -> float:
         """Return the nominal temperature [degC] at `share` of the operating range."""
@@ -69,6 +77,8 @@ class ConcealedEffect:
     driver : acts between command and current (a logged shunt current then shows it directly)
     per_signal : acts on one sensor channel, drawn at random
     needs_set_value : cannot be seen where the rig logs the true current
+    form : which of the forms of this physics; "catalogue" where a simulation would first write it like this
+    siblings : other names that are right for this form too
     """
 
     id: str
@@ -79,6 +89,8 @@ class ConcealedEffect:
     driver: bool = False
     per_signal: bool = False
     needs_set_value: bool = False
+    form: str = "catalogue"
+    siblings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -89,9 +101,13 @@ class Drawn:
     parameters: dict[str, tuple[float, str]]
     signal: str | None = None
 
+    @property
+    def values(self) -> dict[str, float]:
+        return {name: value for name, (value, _) in self.parameters.items()}
+
     def into(self, plan: Plan, context: Context, **override: float) -> None:
         """Put the effect into `plan`, with single parameter values overridden."""
-        values = {name: value for name, (value, _) in self.parameters.items()} | override
+        values = self.values | override
         if self.effect.per_signal:
             self.effect.apply(plan, values, context, self.signal)
         else:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from vo2_studies.challenge.devices import Device
 from vo2_studies.challenge.effect import ANY, ConcealedEffect, Context, either_sign, log_uniform
 from vo2_studies.challenge.families import major_loop
-from vo2_studies.challenge.filters import lag, log_relaxation, oscillator
+from vo2_studies.challenge.filters import after_steps, backlash, lag, log_relaxation, oscillator
 from vo2_studies.challenge.rig import Plan
 
 __all__ = ["EFFECTS"]
@@ -29,8 +29,8 @@ def _apply_relaxation(plan: Plan, v: Values, c: Context) -> None:
 
 
 def _draw_relaxation(c: Context) -> Draw:
-    onset = log_uniform(c.rng, 4e-3, 50e-3) if c.quick else log_uniform(c.rng, 2.0, 15.0)
-    return {"strength": (log_uniform(c.rng, 0.003, 0.04) * (1 if c.quick else 3), "1"), "onset": (onset, "s")}
+    strength = log_uniform(c.rng, 0.003, 0.04) * (1 if c.quick else 3)
+    return {"strength": (strength, "1"), "onset": (c.seconds((4e-3, 50e-3), (2.0, 15.0)), "s")}
 
 
 def _apply_reversible(plan: Plan, v: Values, c: Context) -> None:
@@ -57,6 +57,11 @@ def _apply_expansion(plan: Plan, v: Values, c: Context) -> None:
     plan.structure.append(bend)
 
 
+def _draw_expansion(c: Context) -> Draw:
+    size = log_uniform(c.rng, 0.004e-6, 0.1e-6) * c.preset.scales.deflection
+    return {"slope_change": (either_sign(c.rng, size), "m/K")}
+
+
 def _apply_creep(plan: Plan, v: Values, c: Context) -> None:
     def bend(t: Array, deflection: Array, temperature: Array, structure: Array, device: Device) -> Array:
         # Kelvin-Voigt element in series: its strain follows the instantaneous one slowly
@@ -77,7 +82,7 @@ def _apply_resonance(plan: Plan, v: Values, c: Context) -> None:
 
 
 def _draw_resonance(c: Context) -> Draw:
-    frequency = log_uniform(c.rng, 25, 320) if c.quick else log_uniform(c.rng, 0.12, 2.0)
+    frequency = 1 / c.seconds((1 / 320, 1 / 25), (1 / 2.0, 1 / 0.12))
     return {"frequency": (frequency, "Hz"), "damping_ratio": (log_uniform(c.rng, 0.004, 0.05), "1")}
 
 
@@ -109,6 +114,56 @@ def _draw_crosstalk(c: Context) -> Draw:
     return {"coupling": (either_sign(c.rng, volume / largest), "ohm/A")}
 
 
+def _apply_widening(plan: Plan, v: Values, c: Context) -> None:
+    plan.widening += v["width"]
+
+
+def _apply_log_creep(plan: Plan, v: Values, c: Context) -> None:
+    def bend(t: Array, deflection: Array, temperature: Array, structure: Array, device: Device) -> Array:
+        return deflection + v["share"] * after_steps(deflection, np.log1p(t / v["onset"]))
+
+    plan.structure.append(bend)
+
+
+def _apply_backlash(plan: Plan, v: Values, c: Context) -> None:
+    plan.structure.append(lambda t, deflection, *_: backlash(deflection, v["half_width"]))
+
+
+def _apply_stiffening(plan: Plan, v: Values, c: Context) -> None:
+    low, high = c.preset.deflection
+
+    def stiffen(t: Array, deflection: Array, temperature: Array, structure: Array, device: Device) -> Array:
+        # static Duffing spring x + a x^3 = f, first order in a, x from the middle of the range
+        x = 2 * (deflection - (low + high) / 2) / (high - low)
+        return deflection - v["cubic"] * (high - low) / 2 * x**3
+
+    plan.structure.append(stiffen)
+
+
+def _apply_thermovoltage(plan: Plan, v: Values, c: Context) -> None:
+    floor, ambient = 0.2 * c.preset.resistance[0], c.device.ambient
+    plan.film.append(
+        lambda t, resistance, temperature, current: np.maximum(
+            resistance + v["slope"] * (temperature - ambient), floor
+        )
+    )
+
+
+def _draw_thermovoltage(c: Context) -> Draw:
+    # Seebeck voltage over the sense current: a few per cent of the metallic resistance at 50 K
+    slope = log_uniform(c.rng, 0.008, 0.2) * c.preset.resistance[0] / 50.0
+    return {"slope": (either_sign(c.rng, slope), "ohm/K")}
+
+
+def _apply_contact(plan: Plan, v: Values, c: Context) -> None:
+    plan.film.append(lambda t, resistance, temperature, current: resistance + v["rate"] * t)
+
+
+def _draw_contact(c: Context) -> Draw:
+    total = log_uniform(c.rng, 0.02, 0.5) * c.preset.resistance[0]
+    return {"rate": (total / c.duration, "ohm/s"), "total_change": (total, "ohm")}
+
+
 def _terms(**names: str):
     """Return an `apply` that copies parameters into core terms, term=parameter."""
 
@@ -124,10 +179,7 @@ EFFECTS = (
         "transition_kinetics",
         ANY,
         lambda c: {
-            "time_constant": (
-                log_uniform(c.rng, 0.1e-3, 5e-3) if c.quick else log_uniform(c.rng, 0.08, 4.0),
-                "s",
-            )
+            "time_constant": (c.seconds((0.1e-3, 5e-3), (0.08, 4.0)), "s"),
         },
         _terms(kinetic_time="time_constant"),
         {"time_constant": 0.0},
@@ -171,7 +223,12 @@ EFFECTS = (
     ConcealedEffect(
         "phase_dependent_expansion",
         ANY,
-        lambda c: {"slope_change": (either_sign(c.rng, log_uniform(c.rng, 0.004e-6, 0.1e-6)), "m/K")},
+        lambda c: {
+            "slope_change": (
+                either_sign(c.rng, log_uniform(c.rng, 0.004e-6, 0.1e-6) * c.preset.scales.deflection),
+                "m/K",
+            )
+        },
         _apply_expansion,
         {"slope_change": 0.0},
     ),
@@ -180,7 +237,7 @@ EFFECTS = (
         ANY,
         lambda c: {
             "share": (log_uniform(c.rng, 0.004, 0.06), "1"),
-            "time_constant": (log_uniform(c.rng, 0.1, 1.5) if c.quick else log_uniform(c.rng, 25, 200), "s"),
+            "time_constant": (c.seconds((0.1, 1.5), (25, 200)), "s"),
         },
         _apply_creep,
         {"share": 0.0},
@@ -196,4 +253,38 @@ EFFECTS = (
     ConcealedEffect("leakage_resistance", ANY, _draw_leakage, _apply_leakage, {"conductance": 0.0}),
     # Common return or capacitive pick-up of the heater line: R + chi i, at once.
     ConcealedEffect("current_crosstalk", ANY, _draw_crosstalk, _apply_crosstalk, {"coupling": 0.0}),
+    ConcealedEffect(
+        "loop_width_difference",
+        ANY,
+        lambda c: {"width": (either_sign(c.rng, log_uniform(c.rng, 0.1, 2.0)), "K")},
+        _apply_widening,
+        {"width": 0.0},
+    ),
+    # Akin to amorphous films and piezoceramics: strain grows with the logarithm of the time since each step.
+    ConcealedEffect(
+        "log_creep",
+        ANY,
+        lambda c: {
+            "share": (log_uniform(c.rng, 0.001, 0.015), "1"),
+            "onset": (c.seconds((0.01, 0.1), (4, 40)), "s"),
+        },
+        _apply_log_creep,
+        {"share": 0.0},
+    ),
+    ConcealedEffect(
+        "backlash",
+        ANY,
+        lambda c: {"half_width": (c.preset.noise_deflection * log_uniform(c.rng, 6, 40), "m")},
+        _apply_backlash,
+        {"half_width": 0.0},
+    ),
+    ConcealedEffect(
+        "stiffening",
+        ANY,
+        lambda c: {"cubic": (log_uniform(c.rng, 0.008, 0.08), "1")},
+        _apply_stiffening,
+        {"cubic": 0.0},
+    ),
+    ConcealedEffect("thermovoltage", ANY, _draw_thermovoltage, _apply_thermovoltage, {"slope": 0.0}),
+    ConcealedEffect("contact_drift", ANY, _draw_contact, _apply_contact, {"rate": 0.0}),
 )

@@ -1,4 +1,4 @@
-"""Effects of heat flow and of the current driver, written from their sources.
+"""Effects of heat flow, written from their sources.
 
 Every entry's `draw` returns parameters as name -> (value, unit); `apply` puts them into a `Plan`. `T` below is the
 temperature of the heated body, `T0` ambient, `P` the nominal heat input in kelvin.
@@ -17,6 +17,7 @@ from vo2_studies.challenge.effect import (
     log_uniform,
 )
 from vo2_studies.challenge.effect import either_sign as signed
+from vo2_studies.challenge.filters import half_order
 from vo2_studies.challenge.rig import Plan
 
 __all__ = ["EFFECTS"]
@@ -25,20 +26,19 @@ Values = dict[str, float]
 Draw = dict[str, tuple[float, str]]
 
 
-def _pick(context: Context, quick: tuple[float, float], slow: tuple[float, float]) -> float:
-    """Draw log-uniformly from the range of the context's preset."""
-    return log_uniform(context.rng, *(quick if context.quick else slow))
-
-
 def _second_mode(c: Context) -> Draw:
     return {
         "gain": (log_uniform(c.rng, 0.006, 0.08), "1"),
-        "time_constant": (_pick(c, (0.03, 0.5), (80, 300)), "s"),
+        "time_constant": (c.seconds((0.03, 0.5), (80, 300)), "s"),
     }
 
 
 def _apply_second_mode(plan: Plan, v: Values, c: Context) -> None:
     plan.terms |= {"slow_gain": v["gain"], "slow_time": v["time_constant"]}
+
+
+def _apply_diffusion(plan: Plan, v: Values, c: Context) -> None:
+    plan.heat.append(lambda power, step: v["gain"] * half_order(power, step, v["time_constant"]))
 
 
 def _apply_dead_time(plan: Plan, v: Values, c: Context) -> None:
@@ -48,7 +48,7 @@ def _apply_dead_time(plan: Plan, v: Values, c: Context) -> None:
 def _draw_dead_time(c: Context) -> Draw:
     # a whole number of integration steps, so that the drawn value is the one at work
     step = c.preset.sample_period / c.preset.substeps
-    return {"delay": (max(1, round(_pick(c, (0.125e-3, 2e-3), (0.06, 1.5)) / step)) * step, "s")}
+    return {"delay": (max(1, round(c.seconds((0.125e-3, 2e-3), (0.06, 1.5)) / step)) * step, "s")}
 
 
 def _apply_ambient(plan: Plan, v: Values, c: Context) -> None:
@@ -73,7 +73,7 @@ def _draw_cooling(c: Context) -> Draw:
 
 
 def _draw_loss(c: Context) -> Draw:
-    power = float(c.rng.uniform(2.0, 4.0))
+    power = float(c.rng.uniform(1.25, 4.5))
     share = log_uniform(c.rng, 0.002, 0.05)
     return {
         "beta": (share * 60 ** (1 - power), "K^(1-n)"),
@@ -112,30 +112,9 @@ def _draw_sense(c: Context) -> Draw:
 def _draw_peltier(c: Context) -> Draw:
     # pumped heat is S T i with T absolute: the gain K changes by 1/298 a kelvin, here 1/6 of K in 50 K/A
     return {
-        "joule": (log_uniform(c.rng, 0.05, 2.5), "K/A^2"),
-        "pumping": (log_uniform(c.rng, 0.001, 0.05), "1/A"),
+        "joule": (log_uniform(c.rng, 0.05, 2.5) / c.preset.scales.current**2, "K/A^2"),
+        "pumping": (log_uniform(c.rng, 0.001, 0.05) / c.preset.scales.current, "1/A"),
     }
-
-
-def _apply_saturation(plan: Plan, v: Values, c: Context) -> None:
-    limit = v["limit"]
-    plan.driver.append(lambda i, step: np.clip(i, -limit, limit))
-
-
-def _draw_saturation(c: Context) -> Draw:
-    largest = max(abs(i) for i in (c.preset.operating if c.quick else c.preset.current_limits))
-    return {"limit": (largest * (1 - log_uniform(c.rng, 0.03 if c.quick else 0.004, 0.3)), "A")}
-
-
-def _apply_slew(plan: Plan, v: Values, c: Context) -> None:
-    from vo2_studies.challenge.filters import rate_limit
-
-    plan.driver.append(lambda i, step: rate_limit(i, v["slew_rate"] * step))
-
-
-def _apply_deadzone(plan: Plan, v: Values, c: Context) -> None:
-    width = v["half_width"]
-    plan.driver.append(lambda i, step: np.sign(i) * np.maximum(np.abs(i) - width, 0.0))
 
 
 def _terms(**names: str):
@@ -205,23 +184,15 @@ EFFECTS = (
         _terms(joule="joule", pumping="pumping"),
         {"joule": 0.0, "pumping": 0.0},
     ),
+    # Spread of heat into a deep substrate, half-order in time: Carslaw and Jaeger, Conduction of Heat in Solids, 2.7.
     ConcealedEffect(
-        "driver_saturation", ANY, _draw_saturation, _apply_saturation, {"limit": 1e9}, driver=True
-    ),
-    ConcealedEffect(
-        "driver_slew",
+        "substrate_diffusion",
         ANY,
-        lambda c: {"slew_rate": (_pick(c, (0.5, 10.0), (0.04, 1.0)), "A/s")},
-        _apply_slew,
-        {"slew_rate": 1e9},
-        driver=True,
-    ),
-    ConcealedEffect(
-        "driver_deadzone",
-        ANY,
-        lambda c: {"half_width": (_pick(c, (0.008e-3, 0.2e-3), (0.0015, 0.04)), "A")},
-        _apply_deadzone,
-        {"half_width": 0.0},
-        driver=True,
+        lambda c: {
+            "gain": (log_uniform(c.rng, 0.006, 0.08), "1"),
+            "time_constant": (c.seconds((0.02, 0.5), (60, 400)), "s"),
+        },
+        _apply_diffusion,
+        {"gain": 0.0},
     ),
 )

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
 from vo2_studies.challenge.effect import ANY, ConcealedEffect, Context, either_sign, log_uniform
-from vo2_studies.challenge.filters import lag
+from vo2_studies.challenge.filters import boxcar, lag
 from vo2_studies.challenge.rig import Plan
 
 __all__ = ["EFFECTS", "UNITS"]
@@ -20,6 +20,16 @@ UNITS = {RESISTANCE: "ohm", TIP_DEFLECTION: "m", STAGE_TEMPERATURE: "degC"}
 
 def _apply_lag(plan: Plan, v: Values, c: Context, signal: str) -> None:
     plan.readout.append((signal, lambda t, step, y: lag(y, step, v["time_constant"])))
+
+
+def _apply_average(plan: Plan, v: Values, c: Context, signal: str) -> None:
+    length = v["length"]
+    plan.readout.append((signal, lambda t, step, y: boxcar(y, step, length) if length > 0 else y))
+
+
+def _apply_ripple(plan: Plan, v: Values, c: Context) -> None:
+    wave = 2 * np.pi / v["period"]
+    plan.readout.append((TIP_DEFLECTION, lambda t, step, y: y + v["amplitude"] * np.sin(wave * y)))
 
 
 def _apply_late(plan: Plan, v: Values, c: Context, signal: str) -> None:
@@ -69,15 +79,11 @@ def _draw_quantise(c: Context, signal: str) -> Draw:
     return {"least_bit": (bit, unit)}
 
 
-def _time(c: Context, quick: tuple[float, float], slow: tuple[float, float]) -> float:
-    return log_uniform(c.rng, *(quick if c.quick else slow))
-
-
 EFFECTS = (
     ConcealedEffect(
         "sensor_lag",
         ANY,
-        lambda c, signal: {"time_constant": (_time(c, (0.1e-3, 4e-3), (0.1, 4.0)), "s")},
+        lambda c, signal: {"time_constant": (c.seconds((0.1e-3, 4e-3), (0.1, 4.0)), "s")},
         _apply_lag,
         {"time_constant": 0.0},
         per_signal=True,
@@ -85,7 +91,7 @@ EFFECTS = (
     ConcealedEffect(
         "clock_offset",
         ANY,
-        lambda c, signal: {"delay": (_time(c, (0.1e-3, 4e-3), (0.1, 4.0)), "s")},
+        lambda c, signal: {"delay": (c.seconds((0.1e-3, 4e-3), (0.1, 4.0)), "s")},
         _apply_late,
         {"delay": 0.0},
         per_signal=True,
@@ -96,5 +102,24 @@ EFFECTS = (
     ConcealedEffect("adc_saturation", ANY, _draw_clip, _apply_clip, {"level": 1e12}, per_signal=True),
     ConcealedEffect(
         "adc_quantization", ANY, _draw_quantise, _apply_quantise, {"least_bit": 0.0}, per_signal=True
+    ),
+    ConcealedEffect(
+        "averaging",
+        ANY,
+        lambda c, signal: {"length": (c.seconds((0.3e-3, 10e-3), (0.3, 10.0)), "s")},
+        _apply_average,
+        {"length": 0.0},
+        per_signal=True,
+    ),
+    # interference of the reading laser: an error periodic in the deflection itself
+    ConcealedEffect(
+        "sensor_ripple",
+        ANY,
+        lambda c: {
+            "amplitude": (c.preset.noise_deflection * log_uniform(c.rng, 6, 20), "m"),
+            "period": (float(c.rng.uniform(8e-6, 20e-6)) * c.preset.scales.deflection, "m"),
+        },
+        _apply_ripple,
+        {"amplitude": 0.0},
     ),
 )

@@ -19,14 +19,18 @@ __all__ = [
     "EXCITATIONS",
     "TEST_SAMPLES",
     "calibration_current",
+    "excitation",
     "informative_current",
     "loop_current",
     "played_current",
+    "sines_current",
+    "steps_current",
     "triangle_current",
 ]
 
 Array = NDArray[np.floating]
 TEST_SAMPLES = 10_000
+LOOP_SAMPLES = 2600
 COLD, HOT = -1.7, 1.7
 """Places below and above the transition, in the coordinate of `_Profile.at`."""
 
@@ -35,11 +39,12 @@ class _Profile:
     """Collects temperature profiles and current pieces of one preset into one command sequence.
 
     A place x is a temperature around the nominal transition: x = 0 is its middle, x = -1 and 1 its ends
-    (loop half-width plus 2.2 standard deviations away).
+    (loop half-width plus 2.2 standard deviations away). All numbers of samples are multiplied by `pace`.
     """
 
-    def __init__(self, preset: Preset, start: float) -> None:
+    def __init__(self, preset: Preset, start: float, pace: float = 1.0) -> None:
         self.preset = preset
+        self.pace = pace
         self.middle = preset.heating[0] - preset.width[0] / 2
         self.half = preset.width[0] / 2 + 2.2 * preset.heating[1]
         # half-transformed on heating at +branch, on cooling at -branch
@@ -58,6 +63,9 @@ class _Profile:
     def at(self, place: float) -> float:
         return self.middle + self.half * place
 
+    def count(self, samples: int) -> int:
+        return max(2, round(samples * self.pace))
+
     def follow(self, temperature: Array) -> None:
         """Append the currents that lead the nominal device along `temperature` (n,) [degC]."""
         goal = np.asarray(temperature, dtype=float)
@@ -67,14 +75,15 @@ class _Profile:
 
     def ramp(self, place: float, samples: int) -> None:
         """Append a ramp of the temperature to `place`."""
-        self.follow(np.linspace(self.temperature, self.at(place), samples + 1)[1:])
+        self.follow(np.linspace(self.temperature, self.at(place), self.count(samples) + 1)[1:])
 
     def hold(self, samples: int) -> None:
         """Append a rest at the present temperature."""
-        self.follow(np.full(samples, self.temperature))
+        self.follow(np.full(self.count(samples), self.temperature))
 
     def level(self, temperature: float, samples: int) -> None:
         """Append a current step: the steady current of `temperature` [degC], held."""
+        samples = self.count(samples)
         self.pieces.append(np.full(samples, float(self.preset.steady_current(temperature))))
         self.temperature = temperature + (self.temperature - temperature) * float(np.exp(-samples / self.lag))
 
@@ -84,6 +93,7 @@ class _Profile:
         `swing` [K] is the amplitude of the steady temperature, less where a current limit is nearer;
         frequencies in cycles per sample.
         """
+        samples = self.count(samples)
         k = np.arange(samples)
         phase = 2 * np.pi * f0 * samples / np.log(f1 / f0) * ((f1 / f0) ** (k / samples) - 1)
         limits = [float(self.preset.steady_temperature(i)) for i in self.preset.current_limits]
@@ -136,7 +146,7 @@ def informative_current(rng: np.random.Generator, preset: Preset, samples: int =
     Two equal major loops at start and end; between them steps of several sizes, a first-order reversal fan, small
     chirps above, inside and below the transition, random levels and two holds (inside and outside), in this order.
     """
-    profile = _Profile(preset, preset.ambient)
+    profile = _Profile(preset, preset.ambient, samples / TEST_SAMPLES)
     quick = profile.quick
     low, high = profile.ends
 
@@ -186,19 +196,12 @@ def informative_current(rng: np.random.Generator, preset: Preset, samples: int =
     return np.concatenate([head[:room], tail])
 
 
-def loop_current(rng: np.random.Generator, preset: Preset) -> Array:
-    """Return commanded currents [A] (n,) of one slow major loop, and nothing else.
+def loop_current(rng: np.random.Generator, preset: Preset, samples: int = LOOP_SAMPLES) -> Array:
+    """Return commanded currents [A] (samples,) of one slow major loop, and nothing else.
 
     What a rig records first. On it effects are confounded by design: there is one rate, one history and one loop.
     """
-    profile = _Profile(preset, preset.ambient)
-    low, high = profile.ends
-    profile.pieces.append(np.zeros(60))
-    profile.ramp(low, 80 if profile.quick else 160)
-    for end in (high, low):
-        profile.ramp(end, int(rng.integers(1100, 1300)))
-    profile.hold(60)
-    return profile.current()
+    return _loops(rng, preset, samples, samples - 220)
 
 
 def triangle_current(rng: np.random.Generator, preset: Preset, samples: int = TEST_SAMPLES) -> Array:
@@ -207,20 +210,75 @@ def triangle_current(rng: np.random.Generator, preset: Preset, samples: int = TE
     The easiest recording to make, and the one that tells least: on it effects that act at one rate, on one loop or on
     one part of the loop only look alike.
     """
+    return _loops(rng, preset, samples, int(rng.integers(2200, 2600)))
+
+
+def _loops(rng: np.random.Generator, preset: Preset, samples: int, loop: int) -> Array:
     profile = _Profile(preset, preset.ambient)
     low, high = profile.ends
     profile.pieces.append(np.zeros(60))
     profile.ramp(low, 80 if profile.quick else 160)
-    stretch = int(rng.integers(1100, 1300))
-    for _ in range((samples - 220) // (2 * stretch)):
-        profile.ramp(high, stretch)
-        profile.ramp(low, stretch)
+    for _ in range(max(1, (samples - 220) // loop)):
+        profile.ramp(high, loop // 2)
+        profile.ramp(low, loop // 2)
     profile.hold(samples)
     return profile.current()[:samples]
 
 
-EXCITATIONS = {"informative": informative_current, "triangle": triangle_current, "loop": loop_current}
+def steps_current(rng: np.random.Generator, preset: Preset, samples: int = TEST_SAMPLES) -> Array:
+    """Return commanded currents [A] (samples,) of steps between random levels, each held for 3 to 30 time constants."""
+    profile = _Profile(preset, preset.ambient)
+    profile.pieces.append(np.zeros(60))
+    held = max(profile.lag, 2.0)
+    total = 60
+    while total < samples:
+        count = (
+            int(held * np.exp(rng.uniform(np.log(3), np.log(30))))
+            if profile.quick
+            else int(rng.integers(200, 900))
+        )
+        low, high = sorted(float(preset.steady_temperature(i)) for i in preset.operating)
+        profile.level(float(rng.uniform(low, high)), count)
+        total += count
+    return profile.current()[:samples]
+
+
+def sines_current(rng: np.random.Generator, preset: Preset, samples: int = TEST_SAMPLES) -> Array:
+    """Return commanded currents [A] (samples,): a sum of three sines of the steady temperature across the transition."""
+    low, high = sorted(float(preset.steady_temperature(i)) for i in preset.operating)
+    k = np.arange(samples)
+    frequencies = np.exp(rng.uniform(np.log(3), np.log(200), 3)) / samples
+    sizes = rng.dirichlet([2.0, 2.0, 2.0]) * (high - low) / 2
+    phases = rng.uniform(0, 2 * np.pi, 3)
+    wave = np.sum(
+        [a * np.sin(2 * np.pi * f * k + p) for a, f, p in zip(sizes, frequencies, phases, strict=True)],
+        axis=0,
+    )
+    current = preset.steady_current((low + high) / 2 + wave)
+    current[:60] = 0.0
+    return current
+
+
+EXCITATIONS = {
+    "informative": informative_current,
+    "triangle": triangle_current,
+    "loop": loop_current,
+    "steps": steps_current,
+    "sines": sines_current,
+}
 """What the recording to be diagnosed may be."""
+
+
+def excitation(rng: np.random.Generator, preset: Preset, name: str, samples: int | None) -> Array:
+    """Return commanded currents [A] of the excitation `name`; without `samples` as long as it usually is.
+
+    What is longer than `TEST_SAMPLES` is several in a row, drawn anew each time.
+    """
+    play = EXCITATIONS[name]
+    if samples is None:
+        return play(rng, preset)
+    count = -(-samples // TEST_SAMPLES)
+    return np.concatenate([play(rng, preset, samples // count) for _ in range(count)])
 
 
 def played_current(excitation: Mapping[str, Any], preset: Preset) -> Array:

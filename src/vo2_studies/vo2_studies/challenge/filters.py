@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
+from scipy.signal import fftconvolve, lfilter
+from scipy.special import erfcx
 from vo2_models.numerics.kernel import kernel
 
-__all__ = ["backlash", "lag", "log_relaxation", "oscillator", "rate_limit"]
+__all__ = [
+    "after_steps",
+    "backlash",
+    "boxcar",
+    "half_order",
+    "lag",
+    "log_relaxation",
+    "oscillator",
+    "rate_limit",
+]
 
 Array = NDArray[np.floating]
 
@@ -19,6 +29,27 @@ def lag(values: Array, step: float, time_constant: float) -> Array:
     keep = np.exp(-step / time_constant)
     out, _ = lfilter([1 - keep], [1, -keep], values, zi=np.array([keep * values[0]]))
     return np.asarray(out)
+
+
+def after_steps(values: Array, response: Array) -> Array:
+    """Return the sum of `response` (n,) to each change of `values` (n,), which begin in equilibrium (Duhamel)."""
+    return np.asarray(fftconvolve(np.diff(values, prepend=values[0]), response)[: values.size])
+
+
+def half_order(values: Array, step: float, time: float) -> Array:
+    """Return `values` (n,) behind 1 / (1 + sqrt(s time)), the input impedance of a deep substrate.
+
+    Its step response is 1 - exp(t / time) erfc(sqrt(t / time)); Carslaw and Jaeger, Conduction of Heat in Solids, 2.7.
+    """
+    return after_steps(values, 1 - erfcx(np.sqrt(np.arange(values.size) * step / time)))
+
+
+def boxcar(values: Array, step: float, length: float) -> Array:
+    """Return the mean of `values` (n,) over the last `length` [s], to second order in the step."""
+    time = np.arange(values.size) * step
+    total = np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2 * step)])
+    before = np.where(time < length, values[0] * (length - time), 0.0)  # at rest before the first element
+    return (total - np.interp(time - length, time, total) + before) / length
 
 
 @kernel

@@ -10,6 +10,10 @@ An answer that states a limit counts as right (`states_limit`) in two cases only
 2. the effect needs a channel that the rig does not have (`NEEDS_CHANNEL`): the verdict is "differs", the true
    effect is in an `indistinguishable` pair, and `next_experiment` is "manual" and separates it.
 
+Families. An effect's family is right where it is one of the answer's `families`: the contract's, then those that say as
+much (a film that changes and its ohmmeter that errs are one thing in one channel). An answer without `family` has that
+of the name it gives.
+
 A pair reported as separable by another *excitation* does not count as right by itself; it is counted apart, and
 scored again after the proposed experiment (`follow_up`).
 """
@@ -17,11 +21,14 @@ scored again after the proposed experiment (`follow_up`).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from vo2_models.recording import HEATER_CURRENT
 
+from vo2_studies.challenge.catalogue import family_of_name
+from vo2_studies.challenge.constants import names_constant
 from vo2_studies.challenge.parameters import Comparison, compare_parameters, in_base_unit
 
 __all__ = [
@@ -47,6 +54,22 @@ NEEDS_CHANNEL = {
 }
 """Effects that another channel separates, and the channel."""
 NONE, FAILED, LIMIT = "none", "failed", "limit stated"
+SETTINGS = {"hysteresis": "family", "condition": "condition", "excitation": "excitation", "device": "device"}
+"""Heading under which figures are split -> its key in an answer."""
+VERDICTS = {"none": ("agrees",), "day": ("agrees", "drifted"), "moved": ("drifted",)}
+"""Kind of case -> right verdicts; "differs" for all others."""
+_ONE = ("top1", "top3", "sibling", "family", "channel", "told")
+ASKED = {
+    "none": (),
+    "day": (),
+    "moved": ("constant",),
+    "one": _ONE,
+    "always": _ONE,
+    "beside": (*_ONE, "constant"),
+    "two": ("both", "either", "extra"),
+    "outside": ("unknown", "family", "channel"),
+}
+"""Kind of case -> questions that a case without diagnosis gets wrong."""
 
 
 @dataclass(frozen=True)
@@ -55,12 +78,18 @@ class Judgement:
 
     Attributes
     ----------
-    kind, device, truth : of the answer; `truth` the effect ids
+    index, kind, device, truth : of the answer; `truth` the effect ids
+    settings : what the case was drawn under: hysteresis (its family), condition, excitation, rig
     counted : whether the excess of every effect exceeds `COUNTED_EXCESS` (cases without effect: True)
     failure : reason why there is no diagnosis, or ""
     first : row label of the confusion matrix: id named first, "unknown", "none", "limit stated" or "failed"
+    verdict : whether the verdict is right: agrees, on another day drifted too; drifted; differs
     alarm : verdict "differs" or any effect named
+    wrong : a name that is not the truth's, nor of a form that it says as much of
+    family : the first effect's family is right (one effect or outside)
+    constant : drifted, and the constant that moved farthest in its standard deviations is the right one
     top1, top3 : right name first, among the first three of the ranking (one effect)
+    sibling : right name first, or among the siblings of what is named first (one effect)
     limit : right because the limit was stated
     both, either, extra : two effects: both named, at least one named, a wrong name besides
     unknown : outside the catalogue: "unknown" first and no catalogue name
@@ -70,6 +99,7 @@ class Judgement:
     parameters : comparison of the parameters where the effect was named
     experiment : kind of next experiment that separates the truth from an indistinguishable rival, or ""
     after_experiment : right name first after that experiment
+    stated : (probability, whether true) of every effect that the diagnosis lists
     seconds : wall time of the diagnosis
     """
 
@@ -80,6 +110,14 @@ class Judgement:
     failure: str
     first: str
     alarm: bool
+    index: int = -1
+    settings: Mapping[str, str] = field(default_factory=dict)
+    verdict: bool = False
+    wrong: bool = False
+    family: bool | None = None
+    constant: bool | None = None
+    sibling: bool | None = None
+    stated: tuple[tuple[float, bool], ...] = ()
     top1: bool | None = None
     top3: bool | None = None
     limit: bool = False
@@ -195,28 +233,33 @@ def judge(answer: Mapping, result: Mapping) -> Judgement:
     effects = answer["effects"]
     truth = tuple(effect["id"] for effect in effects)
     kind = answer["kind"]
-    counted = all(effect["excess"] > COUNTED_EXCESS for effect in effects)
     diagnosis = result.get("diagnosis")
-    base = {"kind": kind, "device": answer["device"], "truth": truth, "counted": counted}
+    base: dict[str, Any] = {
+        "index": answer.get("index", -1),
+        "kind": kind,
+        "device": answer["device"],
+        "truth": truth,
+        "counted": all(effect["excess"] > COUNTED_EXCESS for effect in effects),
+        "settings": {key: answer[name] for key, name in SETTINGS.items() if name in answer},
+    }
     if diagnosis is None:
-        wrong: dict = {}
-        if kind == "one":
-            wrong = {"top1": False, "top3": False, "channel": False, "told": False}
-        elif kind == "two":
-            wrong = {"both": False, "either": False, "extra": False}
-        elif kind == "outside":
-            wrong = {"unknown": False, "channel": False}
         reason = str(result.get("failure") or "no diagnosis")
-        return Judgement(**base, failure=reason, first=FAILED, alarm=False, **wrong)
+        base |= dict.fromkeys(ASKED[kind], False)
+        return Judgement(**base, failure=reason, first=FAILED, alarm=False)
     names = named(diagnosis)
+    right_names = {*truth, *(name for effect in effects for name in effect.get("siblings", ()))}
     values: dict = {
         "failure": "",
         "first": _first(answer, diagnosis),
+        "verdict": diagnosis["verdict"] in VERDICTS.get(kind, ("differs",)),
         "alarm": diagnosis["verdict"] == "differs" or bool(diagnosis["effects"]),
+        "wrong": bool(set(names) - right_names),
+        "stated": _stated(diagnosis, right_names, kind),
         "seconds": result.get("seconds"),
     }
-    top = _top_location(diagnosis)
-    if kind == "one":
+    if answer.get("moved"):
+        values["constant"] = _right_constant(answer, diagnosis)
+    if kind in ("one", "always", "beside"):
         values |= _judge_one(effects[0], diagnosis)
         follow_up = result.get("follow_up")
         if follow_up is not None and values["experiment"] == "excitation":
@@ -224,13 +267,39 @@ def judge(answer: Mapping, result: Mapping) -> Judgement:
             values["after_experiment"] = first == truth[0]
     elif kind == "two":
         right = [effect["id"] in names or states_limit(effect, diagnosis) for effect in effects]
-        values |= {"both": all(right), "either": any(right), "extra": bool(set(names) - set(truth))}
+        values |= {"both": all(right), "either": any(right), "extra": values["wrong"]}
         values["removed"] = excess_removed(diagnosis)
     elif kind == "outside":
+        top = _top_location(diagnosis)
         values["unknown"] = values["first"] == "unknown" and not names
+        values["family"] = _right_family(effects[0], diagnosis)
         values["removed"] = excess_removed(diagnosis)
         values["channel"] = top is not None and top["signal"] in effects[0]["channels"]
     return Judgement(**base, **values)
+
+
+def _stated(diagnosis: Mapping, right: set[str], kind: str) -> tuple[tuple[float, bool], ...]:
+    """Return probability and truth of every listed effect; "unknown" is true of what is outside the catalogue."""
+    true = right | ({"unknown"} if kind == "outside" else set())
+    return tuple((float(entry["probability"]), entry["id"] in true) for entry in diagnosis["effects"])
+
+
+def _right_constant(answer: Mapping, diagnosis: Mapping) -> bool:
+    """Whether the constant that moved farthest, in its standard deviations, is the one that was moved."""
+    entries = diagnosis.get("moved") or ()
+    if not entries or (answer["kind"] == "moved" and diagnosis["verdict"] != "drifted"):
+        return False
+    farthest = max(entries, key=lambda e: abs(e["is"] - e["was"]) / (e.get("std") or 1.0))
+    return names_constant(answer["moved"][0]["constant"], farthest)
+
+
+def _right_family(effect: Mapping, diagnosis: Mapping) -> bool:
+    """Whether the first effect's family is one of the answer's; see the module."""
+    if not diagnosis["effects"]:
+        return False
+    entry = diagnosis["effects"][0]
+    family = entry.get("family") or family_of_name(entry["id"], entry.get("signal"))
+    return family in effect.get("families", ())
 
 
 def _judge_one(effect: Mapping, diagnosis: Mapping) -> dict:
@@ -238,9 +307,11 @@ def _judge_one(effect: Mapping, diagnosis: Mapping) -> dict:
     name = effect["id"]
     effects = diagnosis["effects"]
     limit = states_limit(effect, diagnosis)
-    first = bool(effects) and effects[0]["id"] == name
+    first = bool(effects) and effects[0]["id"] in (name, *effect.get("siblings", ()))
     top = _top_location(diagnosis)
     values: dict = {
+        "family": _right_family(effect, diagnosis),
+        "sibling": first or limit or (bool(effects) and name in effects[0].get("siblings", ())),
         "top1": first or limit,
         "top3": limit or (diagnosis["verdict"] == "differs" and name in ranking(diagnosis)[:3]),
         "limit": limit and not first,

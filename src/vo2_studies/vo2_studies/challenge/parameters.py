@@ -113,6 +113,35 @@ QUANTITIES: dict[str, tuple[Quantity, ...]] = {
     "non_hysteretic_branches": (
         Quantity("reversible_share", ("share", "reversible_share", "c", "fraction"), "1"),
     ),
+    "loop_width_difference": (Quantity("width", ("width", "difference", "delta", "widening"), "K"),),
+    "substrate_diffusion": (
+        Quantity("gain", ("gain", "g", "share"), "1"),
+        Quantity("time_constant", (*_TIME, "diffusion_time"), "s"),
+    ),
+    "log_creep": (
+        Quantity("share", ("share", "gain", "c", "creep", "strength"), "1"),
+        Quantity("onset", ("t0", "t_0", "onset"), "s"),
+    ),
+    "averaging": (Quantity("length", ("length", "window", "width", "duration"), "s"),),
+    "drive_gain_drift": (
+        Quantity("rate", ("d", "rate", "drift", "drift_rate"), "1/s", group="drift"),
+        Quantity("total_change", ("total", "total_change", "change"), "1", group="drift"),
+    ),
+    "thermovoltage": (Quantity("slope", ("slope", "a", "coefficient", "seebeck"), "ohm/K"),),
+    "contact_drift": (
+        Quantity("rate", ("rate", "drift", "drift_rate"), "ohm/s", group="drift"),
+        Quantity("total_change", ("total", "total_change", "change"), "ohm", group="drift"),
+    ),
+    "source_compression": (
+        Quantity("share", ("share", "compression", "c"), "1"),
+        Quantity("power", ("power", "exponent", "n"), "1"),
+    ),
+    "backlash": (Quantity("half_width", ("half_width", "width", "gap", "play"), "m"),),
+    "stiffening": (Quantity("cubic", ("cubic", "share", "a"), "1"),),
+    "sensor_ripple": (
+        Quantity("amplitude", ("amplitude", "ripple", "a"), "m"),
+        Quantity("period", ("period", "wavelength", "fringe"), "m"),
+    ),
 }
 """Effect id -> what its diagnosis should recover. Extend `names` where a diagnosis calls it otherwise."""
 

@@ -8,7 +8,7 @@ m * step, except driver currents, where element m flows from m * step to (m + 1)
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, 
 
 from vo2_studies.challenge.core import Terms, run_core
 from vo2_studies.challenge.devices import Device, log_resistance, static_deflection
+from vo2_studies.challenge.families.law import widen
 from vo2_studies.challenge.noise import ChannelNoise, draw_noise, sample_noise
 
 __all__ = ["Noise", "Plan", "Truth", "channels_of", "draw_rig_noise", "log_channels", "simulate"]
@@ -33,7 +34,10 @@ class Plan:
     dead_time : additional delay between current and heat [s]
     driver : (current (m,), step) -> current, on the fine grid [A]
     ambient : time (m,) -> change of the ambient temperature [K]
+    heat : (nominal heat input (m,) [K], step) -> change of the ambient temperature [K]
     local : time (m,) -> film and cantilever above the heated body [K]
+    pull : (time (m,), current (m,)) -> what the transition sees besides the film's temperature [K]
+    widening : structural loop wider than the metallic by this [K]
     phase : (step, film temperature, metal, structure, device) -> metal, structure, on the fine grid
     film : (time, resistance, film temperature, current) -> resistance [ohm], fine grid
     structure : (time, deflection, film temperature, structure fraction, device) -> deflection [m], fine grid
@@ -46,7 +50,10 @@ class Plan:
     dead_time: float = 0.0
     driver: list[Callable[[Array, float], Array]] = field(default_factory=list)
     ambient: list[Callable[[Array], Array]] = field(default_factory=list)
+    heat: list[Callable[[Array, float], Array]] = field(default_factory=list)
     local: list[Callable[[Array], Array]] = field(default_factory=list)
+    pull: list[Callable[[Array, Array], Array]] = field(default_factory=list)
+    widening: float = 0.0
     phase: list[Callable[[float, Array, Array, Array, Device], tuple[Array, Array]]] = field(
         default_factory=list
     )
@@ -84,8 +91,11 @@ def channels_of(device: Device) -> tuple[str, ...]:
     return (*channels, STAGE_TEMPERATURE) if device.preset.has_temperature else channels
 
 
-def simulate(device: Device, command: Array, plan: Plan) -> Truth:
-    """Run `device` on commanded currents (n,) [A]; `command[k]` acts from sample k to sample k + 1."""
+def simulate(device: Device, command: Array, plan: Plan, jitter: Array | None = None) -> Truth:
+    """Run `device` on commanded currents (n,) [A]; `command[k]` acts from sample k to sample k + 1.
+
+    With `jitter` (n,) [s], below half a period, the sensors are read that much after the instants of the commands.
+    """
     preset = device.preset
     n, sub, step = command.size, preset.substeps, preset.sample_period / preset.substeps
     driven = np.repeat(np.clip(command[:-1], *preset.current_limits), sub)
@@ -95,9 +105,16 @@ def simulate(device: Device, command: Array, plan: Plan) -> Truth:
     delay = round((device.dead_time + plan.dead_time) / step)
     heating = np.concatenate([np.zeros(delay), driven])[: driven.size]
     ambient = device.ambient + sum((f(start) for f in plan.ambient), np.zeros(driven.size))
+    power = device.gain * (heating**2 if preset.squared else heating)
+    ambient = ambient + sum((f(power, step) for f in plan.heat), np.zeros(driven.size))
     local = sum((f(start) for f in plan.local), np.zeros(driven.size))
+    pull = sum((f(start, driven) for f in plan.pull), np.full(driven.size, device.film_shift))
+    if plan.widening:
+        device = replace(
+            device, film=device.film._replace(structure=widen(device.film.structure, plan.widening))
+        )
     body, film_temperature, metal, structure, reversals = run_core(
-        device, Terms(**plan.terms), current=heating, ambient=ambient, local=local, step=step
+        device, Terms(**plan.terms), current=heating, ambient=ambient, local=local, pull=pull, step=step
     )
     for change in plan.phase:
         metal, structure = change(step, film_temperature, metal, structure, device)
@@ -113,7 +130,9 @@ def simulate(device: Device, command: Array, plan: Plan) -> Truth:
     for channel, read in plan.readout:
         values[channel] = read(fine, step, values[channel])
     time = np.arange(n) * preset.sample_period
-    sampled = {name: values[name][::sub].copy() for name in channels_of(device)}
+    if jitter is not None:
+        time = np.clip(time + jitter, 0.0, fine[-1])
+    sampled = {name: np.interp(time, fine, values[name]) for name in channels_of(device)}
     for channel, shift in plan.sampled:
         sampled[channel] = shift(time, sampled[channel])
     mean_current = np.concatenate([[0.0], driven.reshape(n - 1, sub).mean(axis=1)])

@@ -2,6 +2,7 @@
 
     DIR/answers/0007.json            the truth, never given to the processes below
     DIR/cases/0007/calibration|test  bags; removed once the case is finished, unless they are to be kept
+    DIR/cases/0007/device.yaml       data sheet of a rig that is no preset
     DIR/cases/0007/model.yaml, diagnosis/, *.log   what fit and diagnose wrote
     DIR/results/0007.json            exit states, wall times, diagnosis; a case with this file is finished
 
@@ -26,9 +27,12 @@ from typing import Any
 
 from vo2_models.io import write_whole
 
-from vo2_studies.challenge.draw import Case, CasePlan, draw_case, follow_up_recording
+from vo2_studies.challenge.conditions import write_recording
+from vo2_studies.challenge.device_files import write_device_file
+from vo2_studies.challenge.draw import Case, draw_case, follow_up_recording
+from vo2_studies.challenge.plan import RANGE, CasePlan, Choice, plan_case
 
-__all__ = ["CaseRunner", "Paths", "Settings", "finished", "load_json", "save_json"]
+__all__ = ["CaseRunner", "Paths", "Settings", "finished", "load_json", "save_json", "write_case"]
 
 KEYS = ("verdict", "location", "effects", "candidates", "fit", "indistinguishable", "next_experiment")
 
@@ -39,16 +43,15 @@ class Settings:
 
     seed: int
     misfit: float = 0.1
-    family: str = "plays"
-    leave_out: str = ""
-    device: str | None = None
-    only_effects: tuple[str, ...] = ()
-    kinds: tuple[str, ...] = ()
-    excitation: str = "informative"
+    choice: Choice = field(default_factory=Choice)
+
+    def plan(self, index: int) -> CasePlan:
+        """Return the plan of case `index`."""
+        return plan_case(self.seed, index, self.choice)
 
     def case(self, plan: CasePlan) -> Case:
         """Draw the case of `plan`."""
-        return draw_case(self.seed, plan, misfit=self.misfit, excitation=self.excitation)
+        return draw_case(self.seed, plan, misfit=self.misfit)
 
 
 @dataclass(frozen=True)
@@ -115,20 +118,13 @@ class CaseRunner:
         ------
         InterruptedError : `stop` was called meanwhile; nothing was recorded.
         """
-        from vo2_identification.bags import write_bag
-
         paths, index = self.paths, plan.index
         if finished(paths, index):
             return load_json(paths.result(index))
         folder = paths.case(index)
         shutil.rmtree(folder, ignore_errors=True)  # an interrupted try
-        folder.mkdir(parents=True)
-        case = self.settings.case(plan)
-        save_json(paths.answer(index), case.answer)
-        write_bag(folder / "calibration", case.calibration)
-        write_bag(folder / "test", case.test)
-        del case
-        result = self._diagnose(plan, folder)
+        device = write_case(self.settings.case(plan), paths)
+        result = self._diagnose(plan, folder, device)
         if self.follow_up and result["diagnosis"] is not None:
             self._follow_up(plan, folder, result)
         save_json(paths.result(index), result)
@@ -145,7 +141,7 @@ class CaseRunner:
         for process in running:
             _end(process)
 
-    def _diagnose(self, plan: CasePlan, folder: Path) -> dict[str, Any]:
+    def _diagnose(self, plan: CasePlan, folder: Path, device: str) -> dict[str, Any]:
         result: dict[str, Any] = {
             "failure": "",
             "fit_seconds": None,
@@ -154,12 +150,12 @@ class CaseRunner:
             "follow_up": None,
         }
         # relative paths from inside the case's folder: nothing in the command line leads to the answers
-        fit = [*self.fit, "--bag", "calibration", "--device", plan.device, "--output", "model.yaml"]
+        fit = [*self.fit, "--bag", "calibration", "--device", device, "--output", "model.yaml"]
         failure, result["fit_seconds"] = self._process(fit, folder, "fit")
         if not failure and not (folder / "model.yaml").exists():
             failure = "fit: wrote no model"
         if not failure:
-            command = [*self.diagnose, "--bag", "test", "--model", "model.yaml", "--output", "diagnosis"]
+            command = [*self.diagnose, *_recordings(plan, "test"), "--output", "diagnosis"]
             failure, result["seconds"] = self._process(command, folder, "diagnose")
         if not failure:
             result["diagnosis"], failure = _read_diagnosis(folder / "diagnosis" / "diagnosis.json")
@@ -168,16 +164,13 @@ class CaseRunner:
 
     def _follow_up(self, plan: CasePlan, folder: Path, result: dict[str, Any]) -> None:
         """Play the proposed excitation, if there is one, and diagnose both recordings together."""
-        from vo2_identification.bags import write_bag
-
-        from vo2_studies.challenge.devices import PRESETS
         from vo2_studies.challenge.excitation import played_current
 
         experiment = result["diagnosis"]["next_experiment"]
         if experiment is None or experiment["kind"] != "excitation":
             return
         try:
-            current = played_current(experiment["excitation"], PRESETS[plan.device])
+            current = played_current(experiment["excitation"], self.settings.case(plan).preset)
         except (TypeError, ValueError) as error:
             result["follow_up_failure"] = f"not playable: {error}"
             return
@@ -189,8 +182,8 @@ class CaseRunner:
             current,
             misfit=self.settings.misfit,
         )
-        write_bag(folder / "follow_up", recording)
-        command = [*self.diagnose, "--bag", "test", "--bag", "follow_up", "--model", "model.yaml"]
+        write_recording(folder / "follow_up", recording.measurement, recording.commands)
+        command = [*self.diagnose, *_recordings(plan, "test", "follow_up")]
         failure, _ = self._process([*command, "--output", "diagnosis_2"], folder, "follow_up")
         if not failure:
             result["follow_up"], failure = _read_diagnosis(folder / "diagnosis_2" / "diagnosis.json")
@@ -222,6 +215,26 @@ class CaseRunner:
         if self._stopped:
             raise InterruptedError
         return ("" if code == 0 else f"{name}: exit status {code}"), time.monotonic() - start
+
+
+def write_case(case: Case, paths: Paths) -> str:
+    """Write answer and bags of a case, and the device file of a rig that is no preset; return what `fit` calls it."""
+    folder = paths.case(case.plan.index)
+    folder.mkdir(parents=True, exist_ok=True)
+    save_json(paths.answer(case.plan.index), case.answer)
+    for name, recorded in (("calibration", case.calibration), ("test", case.test)):
+        write_recording(folder / name, recorded.measurement, recorded.commands)
+    if case.plan.rigs != RANGE:
+        return case.plan.device
+    return write_device_file(folder / "device.yaml", case.preset).name
+
+
+def _recordings(plan: CasePlan, *bags: str) -> list[str]:
+    """Return the options of `diagnose` for the recordings of a case."""
+    given = [part for bag in bags for part in ("--bag", bag)]
+    if plan.kind == "always":
+        given += ["--calibration", "calibration"]
+    return [*given, "--model", "model.yaml"]
 
 
 def _end(process: subprocess.Popen) -> None:

@@ -8,30 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from vo2_studies.challenge.judging import COUNTED_EXCESS, Judgement
+from vo2_studies.challenge.figures import figures, hardest, rate
+from vo2_studies.challenge.judging import COUNTED_EXCESS, SETTINGS, Judgement
+from vo2_studies.challenge.plan import KINDS
+from vo2_studies.challenge.reliability import reliability
 
-__all__ = ["score", "wilson"]
-
-
-def wilson(right: int, count: int, z: float = 1.959964) -> list[float] | None:
-    """Return the Wilson score interval [low, high] of a rate `right` / `count`; None where `count` is 0.
-
-    Wilson, J. Am. Stat. Assoc. 22, 209, 1927; `z` 1.96 for 95 per cent.
-    """
-    if count == 0:
-        return None
-    rate, weight = right / count, z * z / count
-    middle = (rate + weight / 2) / (1 + weight)
-    half = z / (1 + weight) * np.sqrt(rate * (1 - rate) / count + weight / (4 * count))
-    return [max(0.0, float(middle - half)), min(1.0, float(middle + half))]
-
-
-def _rate(answers: Iterable[bool | None]) -> tuple[float | None, list[float] | None, int]:
-    """Return rate, Wilson interval and count of the answers that are not None."""
-    known = [bool(answer) for answer in answers if answer is not None]
-    if not known:
-        return None, None, 0
-    return sum(known) / len(known), wilson(sum(known), len(known)), len(known)
+__all__ = ["score"]
 
 
 def _median(values: Iterable[float | None]) -> float | None:
@@ -45,7 +27,7 @@ def score(judgements: Sequence[Judgement]) -> dict[str, Any]:
     Keys of the contract
     --------------------
     cases : judged cases
-    false_alarm : of the cases without effect, those with verdict "differs" or any effect named
+    false_alarm : of the unchanged devices, same day and others, those with verdict "differs" or any effect named
     top1, top3 : one effect, excess over 10 noise powers: right name first / among the first three of the ranking,
         a rightly stated limit included; the mean over effects of each effect's rate (`*_pooled` over cases)
     pair_exact : two effects, both over 10: both named; `pair_any` at least one; `pair_extra` a wrong name besides
@@ -64,19 +46,25 @@ def score(judgements: Sequence[Judgement]) -> dict[str, Any]:
     seconds : median wall time of a diagnosis
     per_effect : id -> top1, top3, count, and by device
 
+    figures : the lines of `figures.LINES`, each with rate, interval, count and what is wanted; `by_heading` the same under
+        each condition, `hardest` the ten of these that fall shortest
+    reliability : bins of stated probability against the share that is true
+    missed : every case that a line counts as wrong, with what was said
+    settings : families of hysteresis, conditions, excitations and devices, with their counts
+
     Every rate has `<key>_interval` (Wilson, 95 per cent, over pooled cases) and `<key>_count`. Cases without
     diagnosis are wrong everywhere and listed under `failures`; those below 10 are under `weak`.
     """
-    of = {kind: [j for j in judgements if j.kind == kind] for kind in ("none", "one", "two", "outside")}
+    of = {kind: [j for j in judgements if j.kind == kind] for kind in KINDS}
     one = [j for j in of["one"] if j.counted]
     two = [j for j in of["two"] if j.counted]
     outside = [j for j in of["outside"] if j.counted]
     result: dict[str, Any] = {"cases": len(judgements)}
 
     def put(key: str, answers: Iterable[bool | None]) -> None:
-        result[key], result[f"{key}_interval"], result[f"{key}_count"] = _rate(answers)
+        result[key], result[f"{key}_interval"], result[f"{key}_count"] = rate(answers)
 
-    put("false_alarm", (j.alarm for j in of["none"] if not j.failure))
+    put("false_alarm", (j.alarm for j in (*of["none"], *of["day"]) if not j.failure))
     per_effect = {name: _effect(one, name) for name in sorted({j.truth[0] for j in one})}
     for key in ("top1", "top3"):
         put(key, (getattr(j, key) for j in one))
@@ -106,27 +94,58 @@ def score(judgements: Sequence[Judgement]) -> dict[str, Any]:
     result["weak"] = {
         "below_excess": COUNTED_EXCESS,
         "count": len(weak),
-        "top1": _rate(j.top1 for j in weak)[0],
-        "agrees": _rate(not j.alarm for j in weak)[0],
+        "top1": rate(j.top1 for j in weak)[0],
+        "agrees": rate(not j.alarm for j in weak)[0],
     }
     result["failures"] = dict(Counter(j.failure for j in judgements if j.failure))
     result["per_effect"] = per_effect
-    result["outside"] = {
-        name: _group([j for j in outside if j.truth[0] == name], ("unknown",))
-        for name in sorted({j.truth[0] for j in outside})
+    result["figures"] = [figure.plain() for figure in figures(judgements)]
+    result["by_heading"] = {
+        heading: [figure.plain() for figure in figures(judgements, heading)] for heading in SETTINGS
+    }
+    result["hardest"] = [figure.plain() for figure in hardest(judgements)[:10]]
+    result["reliability"] = reliability(judgements)
+    result["missed"] = [_missed(j) for j in judgements if j.counted and not _right(j)]
+    result["settings"] = {
+        heading: dict(Counter(str(j.settings.get(heading, "")) for j in judgements)) for heading in SETTINGS
     }
     return result
 
 
+def _right(j: Judgement) -> bool:
+    """Whether nothing that is asked of the case is wrong."""
+    asked = {
+        "none": not j.alarm,
+        "day": not j.alarm,
+        "moved": j.constant,
+        "two": j.both,
+        "outside": j.unknown and j.family,
+    }.get(j.kind, j.top1)
+    return bool(asked) and j.verdict and not j.wrong
+
+
+def _missed(j: Judgement) -> dict[str, Any]:
+    return {
+        "index": j.index,
+        "kind": j.kind,
+        "truth": list(j.truth),
+        "said": j.failure or j.first,
+        "verdict_right": j.verdict,
+        "wrong_name": j.wrong,
+        "family_right": j.family,
+        **j.settings,
+    }
+
+
 def _group(judgements: Sequence[Judgement], keys: Sequence[str]) -> dict[str, Any]:
-    entry: dict[str, Any] = {key: _rate(getattr(j, key) for j in judgements)[0] for key in keys}
+    entry: dict[str, Any] = {key: rate(getattr(j, key) for j in judgements)[0] for key in keys}
     return entry | {"count": len(judgements)}
 
 
 def _effect(one: Sequence[Judgement], name: str) -> dict[str, Any]:
     mine = [j for j in one if j.truth[0] == name]
     entry = _group(mine, ("top1", "top3"))
-    entry["top1_interval"] = _rate(j.top1 for j in mine)[1]
+    entry["top1_interval"] = rate(j.top1 for j in mine)[1]
     entry["device"] = {
         device: _group([j for j in mine if j.device == device], ("top1", "top3"))
         for device in sorted({j.device for j in mine})

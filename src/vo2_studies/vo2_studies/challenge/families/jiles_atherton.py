@@ -75,7 +75,12 @@ def _advance(law, memory, level, step):
     return _move(law, memory, level, step)
 
 
-implement(JilesAtherton, settle=_settle, advance=_advance)
+def _widen(law: JilesAtherton, width: float) -> JilesAtherton:
+    # the loop opens by some 1.25 of the coercivity, while its anhysteretic curve is about as broad
+    return law._replace(coercivity=np.maximum(law.coercivity + 0.8 * width, 0.05))
+
+
+implement(JilesAtherton, settle=_settle, advance=_advance, widen=_widen)
 
 
 def _moments(law: JilesAtherton) -> tuple[float, float, float]:

@@ -6,6 +6,8 @@
                                            add `heat` [K] to a body at `temperature` whose film sees that + `shift` and
                                            takes up `latent` [K] per transformed fraction; return what is left over
 
+and of one plain function, `widen(law, width) -> law`.
+
 A law is a `NamedTuple` of arrays; its memory is a float array that starts with the transformed fraction. Every family
 file announces its law by `implement`; numba picks the functions by the law's type, so that one compiled core serves
 all families and each is one file.
@@ -22,12 +24,13 @@ from numba.extending import overload
 from numpy.typing import NDArray
 from vo2_models.numerics.kernel import kernel, source_digest
 
-__all__ = ["Film", "Statistics", "absorb", "advance", "implement", "major_loop", "settle", "trace"]
+__all__ = ["Film", "Statistics", "absorb", "advance", "implement", "major_loop", "settle", "trace", "widen"]
 
 Array = NDArray[np.floating]
 _SETTLE: dict[object, Callable] = {}
 _ADVANCE: dict[object, Callable] = {}
 _ABSORB: dict[object, Callable] = {}
+_WIDEN: dict[object, Callable] = {}
 
 
 class Statistics(NamedTuple):
@@ -62,10 +65,17 @@ class Film(NamedTuple):
     feedback: float = 0.0
 
 
-def implement(law: type, *, settle: Callable, advance: Callable, absorb: Callable | None = None) -> None:
+def implement(
+    law: type, *, settle: Callable, advance: Callable, widen: Callable, absorb: Callable | None = None
+) -> None:
     """Announce the plain functions of `law`; without `absorb` the law is smooth and a root search serves."""
-    _SETTLE[law], _ADVANCE[law] = settle, advance
+    _SETTLE[law], _ADVANCE[law], _WIDEN[law] = settle, advance, widen
     _ABSORB[law] = absorb or _absorb_smooth
+
+
+def widen(law: Any, width: float) -> Any:
+    """Return `law` with its loop wider by `width` [K] about the same middle."""
+    return _WIDEN[type(law)](law, width)
 
 
 def settle(law, level):

@@ -91,7 +91,11 @@ def _advance(law, memory, level, step):
     return _move(law, memory, level)
 
 
-implement(Proximity, settle=_settle, advance=_advance)
+def _widen(law: Proximity, width: float) -> Proximity:
+    return law._replace(width=np.maximum(law.width + width, 0.1))
+
+
+implement(Proximity, settle=_settle, advance=_advance, widen=_widen)
 
 
 def draw(rng: np.random.Generator, film: Statistics, misfit: float) -> Film:

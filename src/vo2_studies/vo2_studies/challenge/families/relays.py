@@ -111,4 +111,11 @@ def _absorb(law, memory, temperature, shift, heat, latent, step):
     return _stefan(law, memory, temperature, shift, heat, latent)
 
 
-implement(Relays, settle=_settle, advance=_advance, absorb=_absorb)
+def _widen(law: Relays, width: float) -> Relays:
+    up, down = np.empty_like(law.up), np.empty_like(law.down)
+    up[law.up_grain], down[law.down_grain] = law.up, law.down
+    middle, wide = (up + down) / 2, np.maximum(up - down + width, 0.1)  # a relay's thresholds are ordered
+    return relays(middle + wide / 2, middle - wide / 2, law.weight)
+
+
+implement(Relays, settle=_settle, advance=_advance, widen=_widen, absorb=_absorb)
