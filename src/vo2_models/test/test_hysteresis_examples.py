@@ -11,6 +11,7 @@ from vo2_models import hysteresis
 
 MODULES = [
     "",
+    ".bouc_wen",
     ".compression_gpi",
     ".domains",
     ".compressive_sensing_gpi",
@@ -19,6 +20,7 @@ MODULES = [
     ".inverse_analytic",
     ".inverse_fixed_point",
     ".inverse_robust",
+    ".limiting_loop",
     ".memoryless",
     ".play",
     ".prandtl_ishlinskii",

@@ -1,7 +1,7 @@
 """Hysteresis laws behind one protocol (`law.Law`), their inverses, identification and compression.
 
 Laws          by name in `LAWS`: `PlayBank`, `CPI`, `GPI`, `EGPI`, `PreisachOperator`, `NonMonotonicPreisach`,
-              `DomainEnsemble`; of a model file by `law_from_parameters`
+              `BoucWen`, `LimitingLoop`, `DomainEnsemble`; of a model file by `law_from_parameters`
 Plays         envelopes `TanhEnvelopes`, `LinearEnvelopes`, `TabulatedEnvelopes`; memoryless parts `Zero`, `Linear`,
               `Polynomial`, `Sine`, `Cosine`, `Tanh`, `MemorylessSum`
 Inverses      `law.inverse(input_range)`; `RobustInverse` (any play model, every reachable output), `AnalyticInverse`,
@@ -29,7 +29,9 @@ _HOME = {
     "Inversion": "law",
     "Law": "law",
     "LawInverse": "law",
+    "BoucWen": "bouc_wen",
     "DomainEnsemble": "domains",
+    "LimitingLoop": "limiting_loop",
     "NonMonotonicPreisach": "preisach.nonmonotonic",
     "PlayBank": "play_bank",
     "PreisachOperator": "preisach.operator",

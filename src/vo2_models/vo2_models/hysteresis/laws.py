@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from vo2_models.hysteresis.bouc_wen import BoucWen
 from vo2_models.hysteresis.domains import DomainEnsemble
 from vo2_models.hysteresis.law import Law
+from vo2_models.hysteresis.limiting_loop import LimitingLoop
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.hysteresis.prandtl_ishlinskii import CPI, EGPI, GPI
 from vo2_models.hysteresis.preisach.nonmonotonic import NonMonotonicPreisach
@@ -15,7 +17,8 @@ from vo2_models.parameters import Parameter, Value
 __all__ = ["FILED", "LAWS", "bank_parameters", "law_from_parameters", "law_parameters"]
 
 FILED: Mapping[str, type[Law]] = {
-    law.name: law for law in (PlayBank, PreisachOperator, NonMonotonicPreisach, DomainEnsemble)
+    law.name: law
+    for law in (PlayBank, PreisachOperator, NonMonotonicPreisach, BoucWen, LimitingLoop, DomainEnsemble)
 }
 """Name in a model file -> class. GPI and EGPI are written as the bank of plays that they are."""
 

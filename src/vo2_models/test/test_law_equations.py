@@ -1,0 +1,90 @@
+"""Bouc-Wen and the limiting loop against plain references written from their equations."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from vo2_models.hysteresis.bouc_wen import BoucWen
+from vo2_models.hysteresis.limiting_loop import LimitingLoop
+
+RNG = np.random.default_rng(11)
+
+
+@pytest.mark.parametrize(("sigma", "n"), [(0.5, 1.0), (0.9, 1.0), (1.4, 2.3)])
+def test_bouc_wen_is_its_differential_equation(sigma, n):
+    """The original form: dz = A du - beta |du| |z|^(n-1) z - gamma du |z|^n, with z = w and A = rho."""
+    law = BoucWen(2.0, sigma, n, 3.0, [0.5, 0.2])
+    memory = np.array([0.0, 0.1])
+    path = np.r_[0.0, RNG.uniform(-2.0, 2.0, 12)]
+    w = 0.1
+    beta, gamma = 2.0 * sigma, 2.0 * (1.0 - sigma)
+    for before, now in pairwise(path):
+        du = now - before
+
+        def rate(_, z, du=du):
+            return 2.0 * du - beta * abs(du) * np.abs(z) ** (n - 1) * z - gamma * du * np.abs(z) ** n
+
+        w = solve_ivp(rate, (0, 1), [w], rtol=1e-11, atol=1e-12, max_step=0.002).y[0, -1]
+        assert law.step(now, memory) == pytest.approx(3.0 * w + 0.5 + 0.2 * now, abs=2e-6)
+
+
+def test_bouc_wen_does_not_depend_on_the_sampling():
+    law = BoucWen(3.0, 0.7, 1.5)
+    turns = RNG.uniform(-2.0, 2.0, 20)
+    fine = np.interp(np.linspace(0, 19, 19 * 37 + 1), np.arange(20), turns)
+    assert law.run(fine)[::37] == pytest.approx(law.run(turns), abs=1e-6)
+
+
+def plain_limiting_loop(path, beta, width, centre, gamma):
+    """Insulating fraction g of de Almeida et al., (7) to (10), turn by turn; starts far in the cold."""
+    outputs, delta, t_r, g_r, before, g = [], 1, None, None, -np.inf, 1.0
+    for t in path:
+        if t != before:
+            now = 1 if t > before else -1
+            if now != delta:
+                delta, t_r, g_r = now, before, g
+            proximity = 0.0
+            if t_r is not None:
+                t_pr = delta * width / 2 + centre - np.arctanh(2 * g_r - 1) / beta - t_r
+                x = (t - t_r) / t_pr
+                proximity = t_pr * 0.5 * (1 - np.sin(gamma * x)) * (1 + np.tanh(np.pi**2 - 2 * np.pi * x))
+            g = 0.5 + 0.5 * np.tanh(beta * (delta * width / 2 + centre - (t + proximity)))
+            before = t
+        outputs.append(g)
+    return np.array(outputs)
+
+
+def test_limiting_loop_is_the_published_model():
+    law = LimitingLoop(0.25, 68.6, 0.25, 61.4, 0.956, 1.0, 0.0)
+    path = np.r_[30.0, RNG.uniform(50.0, 80.0, 60)]
+    assert law.run(path) == pytest.approx(plain_limiting_loop(path, 0.25, 7.2, 65.0, 0.956), abs=1e-9)
+
+
+def test_limiting_loop_stays_inside_and_is_monotone():
+    law = LimitingLoop(0.3, 68.0, 0.2, 60.0, 1.0)
+    turns = RNG.uniform(50.0, 80.0, 31)
+    path = np.interp(np.linspace(0, 30, 1501), np.arange(31), turns)
+    output, memory = [], law.initial_memory()
+    for before, now in zip(np.r_[-np.inf, path[:-1]], path, strict=True):
+        output.append(law.step(now, memory))
+        if len(output) > 1 and now != before:
+            # branches of two slopes cross far out, where a turn starts on the new branch at once
+            assert (output[-1] - output[-2]) * np.sign(now - before) >= -1e-9
+    assert min(output) >= 0.0 and max(output) <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: BoucWen(0.0), r"rho: found 0.0, need a finite number above 0"),
+        (lambda: BoucWen(1.0, 0.4), r"sigma: found 0.4, need at least 0.5"),
+        (lambda: BoucWen(1.0, 0.5, 0.5), r"n: found 0.5, need at least 1"),
+        (lambda: LimitingLoop(0.4, 60.0, 0.4, 68.0), r"falling_centre: found 68, need one below"),
+        (lambda: LimitingLoop(0.4, 68.0, 0.4, 60.0, 1.5), r"gamma: found 1.5, need 0 to 1"),
+        (lambda: LimitingLoop(-0.4, 68.0, 0.4, 60.0), r"rising_slope: found -0.4"),
+    ],
+)
+def test_bad_parameters_are_named(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
