@@ -135,7 +135,7 @@ def test_a_fit_is_judged_by_what_it_leaves(recording):
     (note,) = judge_fit(fitted(recording, film_resistance=1.5e-3, tip_deflection=6.5e-6), [recording])
     assert note.startswith("tip_deflection is fitted poorly: 6.5 um r.m.s. are left of a span of 57")
     with pytest.raises(
-        ValueError, match=r"film_resistance does not follow this current in a loop.* 0 % of its"
+        ValueError, match=r"film_resistance does not follow heater_current in a loop.* 0 % of its"
     ):
         judge_fit(fitted(recording, film_resistance=0.5, tip_deflection=8e-8), [recording])
 
@@ -143,5 +143,5 @@ def test_a_fit_is_judged_by_what_it_leaves(recording):
 def test_noise_is_not_made_a_model_of(recording):
     noise = np.random.default_rng(3).standard_normal((2, COUNT))
     nothing = {RESISTANCE: 1e5 * np.exp(0.3 * noise[0]), TIP_DEFLECTION: 3e-5 + 1e-5 * noise[1]}
-    with pytest.raises(ValueError, match="does not follow this current in a loop"):
+    with pytest.raises(ValueError, match="does not follow heater_current in a loop"):
         fit_model([with_channel(recording, **nothing)], "integrated", plays=2)

@@ -104,6 +104,9 @@ def test_completing_fills_what_is_open_and_nothing_else(tmp_path):
     )
     assert full.deflection_range == pytest.approx(8e-6) and full.noise == {TIP_DEFLECTION: 2e-9}
     assert full.sample_period == 0.01
+    shipped = preset("integrated")
+    assert shipped.completed({"sampling": {"period": 5.0}, "magnitudes": {}}).key != "integrated"
+    assert shipped.completed({"sampling": {"period": 5.0}}).key == "integrated"
 
 
 def test_a_driving_temperature_is_the_temperature(tmp_path):

@@ -17,6 +17,7 @@ __all__ = [
     "STAGE_TEMPERATURE",
     "TIP_DEFLECTION",
     "Recording",
+    "aligned",
 ]
 
 HEATER_CURRENT = "heater_current"
@@ -90,3 +91,36 @@ class Recording:
             time_s=self.time_s[start:stop],
             channels={name: values[start:stop] for name, values in self.channels.items()},
         )
+
+
+def aligned(recording: Recording, delay: float) -> Recording:
+    """Return the recording with each command moved to the interval that it governed.
+
+    A rig may stamp a command at the end of the interval it governs (delay: minus one sample period) or apply it late by a
+    constant. Element k of `commanded_current` becomes the mean of the held command over the interval that ends at
+    `time_s[k]`, moved back by the delay. Before the first command it stays NaN.
+
+    Parameters
+    ----------
+    delay : time from where a command stands in the recording to where it acts [s], `model.recording.command_delay`
+    """
+    if delay == 0.0 or COMMANDED_CURRENT not in recording or len(recording) < 2:
+        return recording
+    command, time = recording[COMMANDED_CURRENT], recording.time_s
+    known = np.flatnonzero(np.isfinite(command))
+    if not known.size:
+        return recording
+    first = int(known[0])
+    last = np.maximum(np.searchsorted(known, np.arange(command.size), side="right") - 1, 0)
+    held = command[known[last]]
+    ends = np.concatenate([[2.0 * time[0] - time[1]], time])
+    charge = np.concatenate([[0.0], np.cumsum(held * np.diff(ends))])
+
+    def integral(at: NDArray[np.float64]) -> NDArray[np.float64]:
+        beyond = held[0] * np.minimum(at - ends[0], 0.0) + held[-1] * np.maximum(at - ends[-1], 0.0)
+        return np.interp(at, ends, charge) + beyond
+
+    moved = (integral(ends[1:] - delay) - integral(ends[:-1] - delay)) / np.diff(ends)
+    if first:
+        moved[time - delay < time[first]] = np.nan
+    return replace(recording, channels={**recording.channels, COMMANDED_CURRENT: moved})

@@ -94,7 +94,9 @@ def diagnose_bags(
     ------
     ValueError, OSError : what cannot be used, in one line.
     """
+    from vo2_models.device.model import DeviceModel
     from vo2_models.diagnosis.pipeline import study
+    from vo2_models.recording import aligned
 
     from vo2_identification.bags import read_recording
     from vo2_identification.bags.problems import in_few_lines
@@ -102,10 +104,11 @@ def diagnose_bags(
     outputs = _outputs(output)
     outputs.check()
     began = time.perf_counter()
+    model = DeviceModel.from_parameters(parameters)
     recordings, problems = [], []
     for bag in bags:
-        recording, found = read_recording(bag)
-        recordings.append(recording)
+        recording, found = read_recording(bag, device=model.description)
+        recordings.append(aligned(recording, model.command_delay))
         problems += [f"{bag}: {problem}" for problem in in_few_lines(found)]
     with _Progress(quiet=quiet) as progress, ThreadPoolExecutor(1) as beside:
         files = beside.submit(import_module, "vo2_models.diagnosis.files")  # what draws takes a while to load

@@ -203,6 +203,12 @@ class DeviceDescription:
         """Return the description with values filled in, nested as in the file; what the file tells stays."""
         return described(_filled(json.loads(self.document), changes), "device")
 
+    def running(self, operating: tuple[float, float]) -> DeviceDescription:
+        """Return the description with another operating range, or the other end of it as the lower saturation."""
+        document = json.loads(self.document)
+        document["drive"]["operating"] = list(operating)
+        return described(document, "device")
+
     def in_roles(self, recording: Recording) -> Recording:
         """Return a recording of this device with its channels under the names of their roles.
 
@@ -320,7 +326,7 @@ def described(document: Any, where: str) -> DeviceDescription:
         sites=sites,
         length=structure.get("length", float("nan")),
         magnitudes=checked.get("magnitudes", {}),
-        document=json.dumps(document, separators=(",", ":")),
+        document=json.dumps(document, separators=(",", ":"), sort_keys=True),
         **body,
         **transition,
     )
@@ -331,13 +337,12 @@ def _body(entry: Document, unit: str, operating: tuple[float, float], period: fl
     has_body = entry.get("kind") == "first_order"
     heat = {name: entry[name] for name in ("ambient", "linear_gain", "square_gain") if name in entry}
     if not heat.get("linear_gain") and not heat.get("square_gain"):
-        ends = (min(operating), max(operating)) if not has_body else operating
-        span = ends[1] - ends[0]
-        if unit == "degC" and _KELVINS[0] <= abs(span) <= _KELVINS[1]:
+        span = operating[1] - operating[0]
+        if unit == "degC" and _KELVINS[0] <= span <= _KELVINS[1]:
             heat = {"ambient": 0.0, "linear_gain": 1.0, "square_gain": 0.0}
         else:
             gain = (_LOOP[1] - _LOOP[0]) / span
-            heat = {"ambient": _LOOP[0] - gain * ends[0], "linear_gain": gain, "square_gain": 0.0}
+            heat = {"ambient": _LOOP[0] - gain * operating[0], "linear_gain": gain, "square_gain": 0.0}
     return {
         "has_body": has_body,
         "ambient": heat.get("ambient", 22.0),

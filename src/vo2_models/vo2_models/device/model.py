@@ -50,12 +50,14 @@ class SensorModel:
     noise : standard deviation of the sensor's noise: relative for the resistance, else in the channel's unit
     colour : (p,) autoregressive coefficients of the noise, empty for white
     residual : root mean square of the fit's residual (resistance: in log10 ohm), noise included
+    misfit : the same on parts of the calibration that the fit was not given; 0 where that was not tried
     residual_colour : (q,) autoregressive coefficients of the residual
     """
 
     noise: float = 0.0
     colour: tuple[float, ...] = ()
     residual: float = 0.0
+    misfit: float = 0.0
     residual_colour: tuple[float, ...] = ()
 
 
@@ -77,6 +79,7 @@ def _sensor_parameters() -> tuple[Parameter, ...]:
             Parameter(
                 f"{head}.colour", [], "1", f"autoregressive noise coefficients of {channel}", kind="float_array"
             ),
+            Parameter(f"{head}.misfit", 0.0, spread, f"residual in {channel} where the fit was not given it, r.m.s.", 0.0),
             Parameter(f"{head}.residual", 0.0, spread, f"residual of the fit in {channel}, root mean square", 0.0),
             Parameter(
                 f"{head}.residual_colour", [], "1", f"autoregressive coefficients of the residual of {channel}",
@@ -106,11 +109,20 @@ def fitted_names() -> tuple[str, ...]:
     return (*SCALARS, *banks)
 
 
+_DELAY = Parameter(
+    "model.recording.command_delay",
+    0.0,
+    "s",
+    "time from where a command stands in a recording to where it acts; 0 for this graph",
+    -1e6,
+    1e6,
+)
 PARAMETERS: tuple[Parameter, ...] = (
     DeviceParameter(
         "model.device", "", "", "id of a shipped device, or the whole description of another one; empty without model"
     ),
     *_scalar_parameters(),
+    _DELAY,
     *bank_parameters("model.resistance", "-log10 of the film resistance", "log10 ohm"),
     *bank_parameters("model.deflection", "the tip deflection", "m"),
     *_sensor_parameters(),
@@ -138,6 +150,7 @@ class DeviceModel:
     sensors : channel -> `SensorModel`
     effects : `{id: {parameter: value}}`, for a signal effect `{"id:channel": {..., "signal": channel}}`
     uncertainty : name (without `model.`) -> standard deviations
+    command_delay : time from where a command stands in a recording to where it acts [s], see `recording.aligned`
 
     Raises
     ------
@@ -151,6 +164,7 @@ class DeviceModel:
     sensors: Mapping[str, SensorModel] = field(default_factory=dict)
     effects: Mapping[str, Mapping[str, float | str]] = field(default_factory=dict)
     uncertainty: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    command_delay: float = 0.0
 
     def __post_init__(self) -> None:
         description = preset(self.device)
@@ -216,11 +230,13 @@ class DeviceModel:
         """Return the flat `model.*` parameters; the ones that are neutral or empty are left out."""
         flat: dict[str, Value] = {"model.device": self.device}
         flat |= {f"model.{name}": value for name, value in self.scalars.items()}
+        flat[_DELAY.name] = self.command_delay
         for section in _BANKS:
             flat |= getattr(self, section).to_parameters(f"model.{section}")
         for channel, sensor in self.sensors.items():
             head = f"model.sensors.{channel}"
             flat |= {f"{head}.noise": sensor.noise, f"{head}.residual": sensor.residual}
+            flat |= {f"{head}.misfit": sensor.misfit} if sensor.misfit else {}
             flat |= {
                 f"{head}.colour": list(sensor.colour),
                 f"{head}.residual_colour": list(sensor.residual_colour),
@@ -262,6 +278,7 @@ class DeviceModel:
             deflection=PlayBank.from_parameters("model.deflection", given),
             sensors=sensors,
             effects=_effects_of(given),
+            command_delay=float(given.get(_DELAY.name, 0.0)),  # type: ignore[arg-type]
             uncertainty={
                 name: tuple(given[f"model.uncertainty.{name}"])  # type: ignore[arg-type]
                 for name in fitted_names()

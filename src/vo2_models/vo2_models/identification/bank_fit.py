@@ -118,6 +118,10 @@ class BankFit:
     jacobian: Floats = field(repr=False)
     iterations: int
 
+    def residual_of(self, temperature: Floats, values: Floats) -> Floats:
+        """Return what the fitted shape leaves of other values (n,) along a temperature (n,), NaN where missing."""
+        return values - evaluate(self.shape, temperature)[0]
+
 
 def starting_shape(temperature: Floats, values: Floats, *, plays: int, degree: int = 3) -> BankShape:
     """Return a start from where the channel crosses the middle of its range on heating and on cooling."""

@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.device.description import preset
+from vo2_models.device.description import DeviceDescription, preset
 from vo2_models.diagnosis.nominal import judged
 from vo2_models.identification.plausibility import impossible, unusual
 from vo2_models.recording import (
     COMMANDED_CURRENT,
     HEATER_CURRENT,
     RESISTANCE,
-    STAGE_TEMPERATURE,
-    TIP_DEFLECTION,
     Recording,
 )
 
@@ -26,8 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["check_calibration", "judge_fit", "noise_level"]
 
-_MEASURED = (RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
 _SHORTEST = 500
+_SHORTEST_QUASI_STATIC = 20
 _MOST_MISSING = 0.5
 _LEAST_EXPLAINED = 0.5
 _POOR_SHARE = 0.01
@@ -43,7 +41,7 @@ def check_calibration(
     Parameters
     ----------
     recordings : in the units of a recording (A, ohm, m, degC)
-    device : preset id
+    device : as `preset` takes it
     names : of the recordings, for the messages
 
     Raises
@@ -54,24 +52,33 @@ def check_calibration(
     nominal = preset(device)
     for k, recording in enumerate(recordings):
         name = names[k] if k < len(names) else f"recording {k + 1}"
-        if len(recording) < _SHORTEST:
-            raise ValueError(f"{name}: found {len(recording)} samples, need at least {_SHORTEST}")
+        least = _SHORTEST if nominal.has_body else _SHORTEST_QUASI_STATIC
+        if len(recording) < least:
+            raise ValueError(f"{name}: found {len(recording)} samples, need at least {least}")
         if found := impossible(recording, device):
             raise ValueError(f"{name}: {'; '.join(found)}")
-        if recording.sample_period_s < nominal.shortest_period / 2:
+        if nominal.has_body and recording.sample_period_s < nominal.shortest_period / 2:
             raise ValueError(
                 f"{name}: found a sample every {recording.sample_period_s:.3g} s, need at least "
-                f"{nominal.shortest_period / 2:.3g} s for device {device}; check the time column and its unit"
+                f"{nominal.shortest_period / 2:.3g} s for device {nominal.id}; check the time column and its unit"
             )
         empty = [
-            channel for channel in _MEASURED if channel in recording and not _usable(recording, channel).any()
+            channel
+            for channel in nominal.channels[1:]
+            if channel in recording and not _usable(recording, channel).any()
         ]
         notes += [f"{name}: {text}" for text in unusual(recording, device)]
-        notes += [f"{name}: {channel} has no value at all and is left out" for channel in empty]
-        notes += [f"{name}: {text}" for text in _missing(recording, empty)]
+        notes += [f"{name}: {nominal.names[c]} has no value at all and is left out" for c in empty]
+        notes += [f"{name}: {text}" for text in _missing(recording, empty, nominal)]
+        if len(recording) < _SHORTEST:
+            notes.append(
+                f"{name}: {len(recording)} samples are few: what lies between them is a smooth guess"
+            )
         kept = {channel: values for channel, values in recording.channels.items() if channel not in empty}
         checked.append(replace(recording, channels=kept))
-    if text := _one_way(checked, hot_is_high=nominal.operating_range[1] > nominal.operating_range[0]):
+    if nominal.has_body and (
+        text := _one_way(checked, hot_is_high=nominal.operating_range[1] > nominal.operating_range[0])
+    ):
         notes.append(text)
     return checked, notes
 
@@ -84,23 +91,29 @@ def judge_fit(result: FitResult, recordings: Sequence[Recording]) -> list[str]:
     ValueError : a channel of which the fit explains less than half of the variance; one line.
     """
     notes = []
+    device = result.model.description
     for channel, sensor in result.model.sensors.items():
+        name = device.names[channel]
         values = np.concatenate([judged(channel, r[channel]) for r in recordings if channel in r])
         values = values[np.isfinite(values)]
-        unit, factor = {RESISTANCE: ("log10 ohm", 1.0), TIP_DEFLECTION: ("um", 1e6)}.get(channel, ("K", 1.0))
+        unit, factor = "log10 ohm" if channel == RESISTANCE else device.units[channel], 1.0
+        if unit == "m":
+            unit, factor = "um", 1e6
         explained = 1.0 - sensor.residual**2 / max(float(np.var(values)), 1e-300)
         size = f"{factor * sensor.residual:.3g} {unit} r.m.s. are left of a span of {factor * np.ptp(values):.3g}"
         if explained < _LEAST_EXPLAINED:
             raise ValueError(
-                f"{channel} does not follow this current in a loop: the best one explains {100 * max(explained, 0.0):.0f} % "
-                f"of its variance ({size}), need {100 * _LEAST_EXPLAINED:.0f} %; check the current's and the time's "
-                "unit, that the columns belong together, and that the device was heated through its transition; or "
-                "leave the channel out"
+                f"{name} does not follow {device.drive_channel} in a loop: the best one explains "
+                f"{100 * max(explained, 0.0):.0f} % of its variance ({size}), need "
+                f"{100 * _LEAST_EXPLAINED:.0f} %; check the drive's and the time's unit, that the columns belong together, "
+                "and that the device was driven through its loop; or leave the channel out"
             )
         noise = noise_level(channel, sensor.noise)
-        if sensor.residual > max(_POOR_NOISE * noise, _POOR_SHARE * float(np.ptp(values))):
+        if device.has_body and sensor.residual > max(
+            _POOR_NOISE * noise, _POOR_SHARE * float(np.ptp(values))
+        ):
             notes.append(
-                f"{channel} is fitted poorly: {size}, at a noise of {factor * noise:.2g}; look for gaps, jumps or a "
+                f"{name} is fitted poorly: {size}, at a noise of {factor * noise:.2g}; look for gaps, jumps or a "
                 "wrong clock in the recording before you trust this model"
             )
     return notes
@@ -115,20 +128,20 @@ def _usable(recording: Recording, channel: str) -> NDArray[np.bool_]:
     return np.isfinite(judged(channel, recording[channel]))
 
 
-def _missing(recording: Recording, empty: Sequence[str]) -> list[str]:
-    """Say which channels miss much, and that a gap hides what the current did."""
+def _missing(recording: Recording, empty: Sequence[str], device: DeviceDescription) -> list[str]:
+    """Say which channels miss much, and that a gap hides what the drive did."""
     found = []
-    for channel in _MEASURED:
+    for channel in device.channels[1:]:
         if channel in recording and channel not in empty:
             share = 1.0 - float(np.mean(_usable(recording, channel)))
             if share > _MOST_MISSING:
-                found.append(f"{channel} has no value in {100 * share:.0f} % of the samples")
+                found.append(f"{device.names[channel]} has no value in {100 * share:.0f} % of the samples")
     steps = np.diff(recording.time_s)
     gaps = steps > 1.5 * recording.sample_period_s
     if gaps.any():
         share = float(steps[gaps].sum() / (recording.time_s[-1] - recording.time_s[0]))
         found.append(
-            f"{np.count_nonzero(gaps)} gaps are {100 * share:.1f} % of the time: the current is taken as held over "
+            f"{np.count_nonzero(gaps)} gaps are {100 * share:.1f} % of the time: the drive is taken as held over "
             "them, and what the loops went through meanwhile is lost"
         )
     return found

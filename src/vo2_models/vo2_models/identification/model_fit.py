@@ -8,17 +8,21 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from vo2_models.device.description import preset
 from vo2_models.device.model import DeviceModel
 from vo2_models.diagnosis.noise import fit_noise
 from vo2_models.diagnosis.nominal import basis_of, span_of
 from vo2_models.diagnosis.reading import current_reading
 from vo2_models.identification.calibration_check import check_calibration, judge_fit
+from vo2_models.identification.command_delay import command_delay
+from vo2_models.identification.completion import completed
 from vo2_models.identification.device_fit import PLAYS, FitResult, fit_device
 from vo2_models.identification.digest import LAGS, digest_of
 from vo2_models.identification.enrichment import EnrichmentBasis
 from vo2_models.identification.grid import on_grid
+from vo2_models.identification.rig_fit import fit_rig
 from vo2_models.parameters import Value
-from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
+from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording, aligned
 from vo2_models.self_sensing.characterise import characterise
 
 __all__ = ["fit_model"]
@@ -40,7 +44,7 @@ def fit_model(
     Parameters
     ----------
     recordings : calibration recordings of one device
-    device : preset id
+    device : as `preset` takes it: a shipped device, or the path of a device file
     plays : plays of each channel's loop
     progress : called with what is being done and the share done, 0 to 1
     names : of the recordings, for the messages
@@ -55,12 +59,22 @@ def fit_model(
     ------
     ValueError : recordings that cannot be fitted; the message says why.
     """
-    recordings, notes = check_calibration(recordings, device, names=names)
-    result = fit_device(recordings, device, plays=plays, progress=progress)
+    delay = command_delay(recordings)
+    recordings, notes = check_calibration([aligned(r, delay) for r in recordings], device, names=names)
+    description = completed(preset(device), recordings)
+    if description.has_body:
+        result = fit_device(recordings, description.key, plays=plays, progress=progress)
+    else:
+        result = fit_rig(recordings, description, progress=progress)
+    if delay:
+        notes.append(
+            f"commands act {delay:.4g} s after where they stand in the recording, which the model allows for"
+        )
+        result = replace(result, model=replace(result.model, command_delay=delay))
     result = replace(result, notes=(*notes, *result.notes, *judge_fit(result, recordings)))
     parameters = result.model.to_parameters()
     both = [r for r in recordings if RESISTANCE in r and TIP_DEFLECTION in r]
-    if both:
+    if both and description.has_body:
         if self_sensing:
             if progress:
                 progress("self-sensing", 0.95)

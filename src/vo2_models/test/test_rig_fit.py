@@ -1,0 +1,135 @@
+"""Fit of a device that is only a file: no current, no heat, no resistance."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from vo2_models.device.description import described
+from vo2_models.hysteresis.preisach import PreisachOperator
+from vo2_models.identification.model_fit import fit_model
+from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
+
+VOLTS = (0.0, 60.0)
+
+
+def _device(**response: object):
+    entry = {"unit": "m", **response}
+    return described(
+        {
+            "schema": "vo2-device/1",
+            "id": "stack_07",
+            "drive": {"channel": "drive_voltage", "unit": "V", "limits": list(VOLTS)},
+            "responses": {"film_resistance" if response.get("unit") == "ohm" else "extension": entry},
+        },
+        "stack",
+    )
+
+
+def _drive(count: int, period: int, *, shrink: bool = True) -> np.ndarray:
+    phase = np.arange(count) / period
+    size = np.linspace(1.0, 0.2, count) if shrink else np.ones(count)
+    rate = phase + 0.15 * np.sin(phase) if shrink else phase
+    return 30.0 * (1.0 - size * np.cos(2 * np.pi * rate))
+
+
+def _law() -> PreisachOperator:
+    walls = np.linspace(*VOLTS, 31)
+    high, low = np.tril_indices(30)
+    density = np.exp(-0.5 * ((high - low - 4) / 4) ** 2)
+    return PreisachOperator(walls, density * 2e-8 / density.mean())
+
+
+def _measured(drive: np.ndarray, *, lag: float = 0.0, sign: float = 1.0) -> np.ndarray:
+    felt = drive
+    if lag:
+        keep = np.exp(-1.0 / lag)
+        felt = lfilter([1 - keep], [1, -keep], drive, zi=[keep * drive[0]])[0]
+    law = _law()
+    clean = law(felt if sign > 0 else VOLTS[1] - felt)
+    return clean + np.random.default_rng(4).normal(0.0, 0.002 * np.ptp(clean), clean.size)
+
+
+def _recording(drive: np.ndarray, values: np.ndarray, dt: float = 0.01) -> Recording:
+    return Recording(dt * np.arange(drive.size), {HEATER_CURRENT: drive, TIP_DEFLECTION: values}, "stack_07")
+
+
+def _error(model, drive: np.ndarray, values: np.ndarray, dt: float = 0.01) -> float:
+    found = model.simulate(drive, dt=dt, noise=False, settled=True)[TIP_DEFLECTION]
+    return float(np.sqrt(np.mean((found - values) ** 2)) / np.ptp(values))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_open_file_is_fitted_in_lag_loop_and_sense(sign):
+    drive = _drive(1500, 150)
+    values = _measured(drive, lag=6.0, sign=sign)
+    seen = np.where(np.arange(1500) < 1000, values, np.nan)
+    result, parameters = fit_model([_recording(drive, seen)], _device().key)
+    model = result.model
+    assert model.scalars["thermal.time_constant"] == pytest.approx(0.06, rel=0.15)
+    assert np.sign(model.description.operating_range[1] - model.description.operating_range[0]) == sign
+    # range, noise and sampling are the recording's
+    assert model.description.deflection_range == pytest.approx(np.nanmax(seen) - np.nanmin(seen), rel=1e-3)
+    assert model.description.sample_period == pytest.approx(0.01)
+    assert model.sensors[TIP_DEFLECTION].noise == pytest.approx(0.002 * np.ptp(values), rel=0.3)
+    assert _error(model, drive, values) < 0.01
+    misfit = model.sensors[TIP_DEFLECTION].misfit
+    held_out = (
+        model.simulate(drive, dt=0.01, noise=False, settled=True)[TIP_DEFLECTION][1000:] - values[1000:]
+    )
+    assert 0.3 < misfit / np.sqrt(np.mean(held_out**2)) < 3.0
+    assert parameters["model.sensors.tip_deflection.misfit"] == misfit
+    assert not any("one rate" in note or "same size" in note for note in result.notes)
+
+
+def test_without_a_lag_none_is_found_and_one_loop_is_said_to_be_one():
+    drive = _drive(600, 150, shrink=False)
+    result, _ = fit_model([_recording(drive, _measured(drive))], _device().key)
+    assert result.model.scalars["thermal.time_constant"] < 0.002
+    assert result.model.scalars["driver.dead_time"] == 0.0
+    notes = " ".join(result.notes)
+    assert "every swing of drive_voltage has the same size, 60 V" in notes
+    assert "drive_voltage has one rate" in notes
+
+
+def test_fifty_samples_of_a_resistance_are_enough_to_say_so():
+    drive = np.concatenate([np.linspace(0, 60, 25), np.linspace(60, 0, 25)])
+    ohm = 10.0 ** (5.0 - 2e5 * _measured(drive))
+    recording = Recording(np.arange(50.0), {HEATER_CURRENT: drive, RESISTANCE: ohm})
+    result, _ = fit_model([recording], _device(unit="ohm").key, names=["sweep"])
+    assert "sweep: 50 samples are few" in " ".join(result.notes)
+    gap = np.log10(result.model.simulate(drive, dt=1.0, noise=False, settled=True)[RESISTANCE] / ohm)
+    assert np.sqrt(np.mean(gap**2)) < 0.03 * np.ptp(np.log10(ohm))
+
+
+def test_where_the_calibration_is_not_represented_is_told():
+    drive = _drive(1200, 150)
+    values = _measured(drive)
+    values[700:760] += 0.3 * np.ptp(values)
+    result, _ = fit_model([_recording(drive, values)], _device().key)
+    (note,) = [note for note in result.notes if "does not represent its own calibration" in note]
+    assert "lies between 6.61 and 7.2" in note or "lies between 7.2" in note
+
+
+def test_commands_stamped_at_the_end_of_their_interval_are_found():
+    steps = np.repeat(np.random.default_rng(1).uniform(*VOLTS, 120), 8)
+    recording = _recording(steps, _measured(steps))
+    channels = {**recording.channels, COMMANDED_CURRENT: np.roll(steps, 1)}
+    late = Recording(recording.time_s, channels, "stack_07")
+    result, parameters = fit_model([late], _device().key)
+    assert result.model.command_delay == pytest.approx(-0.01, rel=1e-3)
+    assert parameters["model.recording.command_delay"] == result.model.command_delay
+    assert any("commands act -0.01 s after" in note for note in result.notes)
+
+
+def test_recordings_that_cannot_be_fitted():
+    with pytest.raises(ValueError, match="found 10 samples, need at least 20"):
+        fit_model([_recording(np.linspace(0, 60, 10), np.zeros(10))], _device().key)
+    drive = np.linspace(0, 60, 100)
+    other = Recording(np.arange(100.0), {HEATER_CURRENT: drive, RESISTANCE: drive + 1})
+    with pytest.raises(ValueError, match="found none of the responses extension"):
+        fit_model([other], _device().key)
+    still = _recording(np.full(100, 5.0), np.linspace(0, 1, 100))
+    with pytest.raises(ValueError, match="found drive_voltage between 5 and 5 V, need one that spans"):
+        fit_model([still], _device().key)
+    noise = np.random.default_rng(2).normal(size=400)
+    with pytest.raises(ValueError, match="extension does not follow drive_voltage in a loop"):
+        fit_model([_recording(_drive(400, 50), noise)], _device().key)

@@ -1,0 +1,61 @@
+"""What a device file leaves open, taken from the recordings: ranges, noise, sampling."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from vo2_models.device.description import DeviceDescription
+from vo2_models.device.description_file import Document
+from vo2_models.diagnosis.noise import level_from_differences
+from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, Recording
+
+__all__ = ["completed", "noise_of_recordings", "significant"]
+
+
+def completed(device: DeviceDescription, recordings: Sequence[Recording]) -> DeviceDescription:
+    """Return the description with range and noise of each response, and the sample period, where the file has none.
+
+    Parameters
+    ----------
+    recordings : in roles
+    """
+    changes: Document = {"responses": {}}
+    for response in device.responses:
+        values = [r[response.role] for r in recordings if response.role in r]
+        finite = np.concatenate(values) if values else np.empty(0)
+        finite = finite[np.isfinite(finite) & ((finite > 0.0) | (response.role != RESISTANCE))]
+        entry: Document = {}
+        if finite.size and np.ptp(finite) > 0.0:
+            entry["range"] = [significant(float(finite.min())), significant(float(finite.max()))]
+            entry["noise"] = significant(noise_of_recordings(recordings, response.role))
+        changes["responses"][response.channel] = entry
+    if device.temperature_channel:
+        changes["temperature"] = {"noise": significant(noise_of_recordings(recordings, STAGE_TEMPERATURE))}
+    period = float(np.median([recording.sample_period_s for recording in recordings]))
+    changes["sampling"] = {"period": significant(period)}
+    return device.completed(changes)
+
+
+def noise_of_recordings(recordings: Sequence[Recording], role: str) -> float:
+    """Return one standard deviation of what changes from sample to sample where a response moves least.
+
+    Relative for the film response, else in the channel's unit; 0 where there are too few samples to tell.
+    """
+    levels = []
+    for recording in recordings:
+        if role not in recording:
+            continue
+        values = recording[role]
+        if role == RESISTANCE:
+            values = np.log(np.where(values > 0.0, values, np.nan))
+        values = values[np.isfinite(values)]
+        if values.size > 2:
+            levels.append(level_from_differences(values))
+    return float(np.median(levels)) if levels else 0.0
+
+
+def significant(value: float, digits: int = 4) -> float:
+    """Return a number as one would write it into a file."""
+    return float(f"{value:.{digits}g}")

@@ -1,0 +1,116 @@
+"""How a rig's loop follows its drive in time and sense, chosen by what predicts held-out parts of the calibration.
+
+The drive is laid over the loop coordinate, delayed or followed with a lag, and given to a convex fit of plays. The sense
+(which end of the drive is the lower saturation), the lag or the delay, and the degree of the memoryless part are those
+with the smallest error on blocks that the fit was not given; what is more complicated must be better by a margin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from vo2_models.device.description import DeviceDescription
+from vo2_models.identification.grid import GriddedRecording
+from vo2_models.identification.play_dictionary import PlayDictionary, fit_dictionary
+
+__all__ = ["RigDynamics", "choose_dynamics", "loop_path"]
+
+Floats = NDArray[np.float64]
+COLD = -300.0
+"""Loop coordinate put before each recording, which brings every play to its lower saturation."""
+DEGREES = (1, 3)
+_MARGIN = 0.98
+"""A lag, a delay or a higher degree must lower the held-out error to this share of what does without it."""
+_LAGS = 2.0 ** np.arange(-1, 9)
+_DELAYS = (1, 2, 3, 4, 6, 8, 12, 16)
+"""Lags and delays tried first, in sample periods."""
+_STEPS = (0.7, 0.85, 1.15, 1.4)
+_COARSE = {"centres": 12, "widths": 7}
+_SAMPLES = 2500
+
+
+@dataclass(frozen=True)
+class RigDynamics:
+    """How the loop follows the drive.
+
+    Attributes
+    ----------
+    falling : whether the lower saturation is at the upper end of the drive
+    lag, delay : [s]; at most one of them is not zero
+    degree : of the memoryless part
+    score : sum over the responses of the logarithm of the held-out error
+    """
+
+    falling: bool = False
+    lag: float = 0.0
+    delay: float = 0.0
+    degree: int = DEGREES[0]
+    score: float = np.inf
+
+
+def loop_path(grids: Sequence[GriddedRecording], device: DeviceDescription, dynamics: RigDynamics) -> Floats:
+    """Loop coordinate along all recordings one behind the other, each settled at its first drive and preceded by `COLD`."""
+    low, high = sorted(device.operating_range)
+    ends = sorted(device.steady_temperature(v) for v in (low, high))
+    parts = []
+    for grid in grids:
+        share = (grid.current - low) / (high - low)
+        u = ends[0] + (ends[1] - ends[0]) * (1.0 - share if dynamics.falling else share)
+        if dynamics.delay:
+            # between samples the chain's delay takes the mean of the held drive: linear between neighbours
+            at = np.arange(u.size) - dynamics.delay / grid.dt
+            u = np.interp(at, np.arange(u.size), u)
+        if dynamics.lag:
+            keep = np.exp(-grid.dt / dynamics.lag)
+            u = lfilter([1.0 - keep], [1.0, -keep], u, zi=[keep * u[0]])[0]
+        parts += [np.array([COLD]), u]
+    return np.concatenate(parts)
+
+
+def choose_dynamics(
+    grids: Sequence[GriddedRecording],
+    device: DeviceDescription,
+    values: Mapping[str, Floats],
+    *,
+    rates: bool = True,
+) -> RigDynamics:
+    """Return sense, lag or delay, and degree with the smallest held-out error.
+
+    Parameters
+    ----------
+    grids : recordings
+    device : without body
+    values : role -> (n,) judged values along `loop_path`, NaN where missing
+    rates : whether the drive has different rates; at one rate a lag is a wider loop, and none is looked for
+    """
+    low, high = sorted(device.steady_temperature(v) for v in device.operating_range)
+    plays = PlayDictionary.over(low, high, **_COARSE)
+
+    def tried(dynamics: RigDynamics) -> RigDynamics:
+        path = loop_path(grids, device, dynamics)
+        fits = [
+            fit_dictionary(plays, path, y, degree=dynamics.degree, most=_SAMPLES) for y in values.values()
+        ]
+        return replace(dynamics, score=float(sum(np.log(max(fit.misfit, 1e-300)) for fit in fits)))
+
+    def best(simple: RigDynamics, others: Sequence[RigDynamics]) -> RigDynamics:
+        better = min((tried(one) for one in others), key=lambda one: one.score, default=simple)
+        return better if better.score < simple.score + len(values) * np.log(_MARGIN) else simple
+
+    found = min((tried(RigDynamics(falling=way)) for way in (False, True)), key=lambda one: one.score)
+    found = best(found, [replace(found, degree=degree) for degree in DEGREES if degree != found.degree])
+    if not rates:
+        return found
+    dt, longest = grids[0].dt, max(grid.current.size for grid in grids)
+    lags = [replace(found, lag=k * dt) for k in _LAGS if k < 0.1 * longest]
+    delays = [replace(found, delay=k * dt) for k in _DELAYS if k < 0.1 * longest]
+    lagged = best(found, lags)
+    for _ in range(2 if lagged.lag else 0):
+        finer = [tried(replace(lagged, lag=lagged.lag * step)) for step in _STEPS]
+        lagged = min([lagged, *finer], key=lambda one: one.score)
+    return min(lagged, best(found, delays), key=lambda one: one.score)

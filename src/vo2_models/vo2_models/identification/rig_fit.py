@@ -1,0 +1,172 @@
+"""Fit of any rig: a device without a heated body, whose loops lie over the drive itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.device.description import DeviceDescription
+from vo2_models.device.model import DeviceModel, SensorModel
+from vo2_models.hysteresis.play_bank import PlayBank
+from vo2_models.identification.bank_fit import BankFit, BankShape, evaluate, fit_bank
+from vo2_models.identification.bank_uncertainty import bank_uncertainty
+from vo2_models.identification.completion import noise_of_recordings
+from vo2_models.identification.coverage import coverage_of, misfit_note
+from vo2_models.identification.device_fit import FitResult
+from vo2_models.identification.grid import GriddedRecording, on_grid
+from vo2_models.identification.loops_fit import SECTIONS, film_path
+from vo2_models.identification.noise import residual_colour
+from vo2_models.identification.play_dictionary import (
+    FOLDS,
+    DictionaryFit,
+    PlayDictionary,
+    fit_dictionary,
+    fold_of,
+)
+from vo2_models.identification.rig_dynamics import choose_dynamics
+from vo2_models.recording import RESISTANCE, Recording
+
+__all__ = ["fit_rig"]
+
+Floats = NDArray[np.float64]
+_FINE = {"centres": 20, "widths": 10}
+_REFINED = (8, 24)
+"""Numbers of the heaviest plays that Levenberg-Marquardt moves, tried against all of them as they stand."""
+_MARGIN = 0.97
+_STEPS = 40
+_LONGEST = 20_000
+"""Samples above which the plays are not moved: the convex fit alone stands."""
+
+
+def fit_rig(
+    recordings: Sequence[Recording],
+    device: DeviceDescription,
+    *,
+    progress: Callable[[str, float], None] | None = None,
+) -> FitResult:
+    """Fit the loops of a device without body, and how they follow the drive.
+
+    Sense, lag or delay and memoryless part are chosen by held-out evidence (`rig_dynamics`); so is whether the plays
+    stand on a grid or are moved. Each sensor's `misfit` is the error on the held-out parts.
+
+    Parameters
+    ----------
+    recordings : in roles
+    device : completed by what the recordings tell
+    progress : called with what is being done and the share done, 0 to 1
+
+    Raises
+    ------
+    ValueError : no drive, no response, a drive that hardly changes, or too few samples.
+    """
+    say = progress or (lambda text, share: None)
+    grids = [on_grid(recording) for recording in recordings]
+    roles = [
+        role for role in SECTIONS if role in device.channels and any(role in grid.measured for grid in grids)
+    ]
+    if not roles:
+        names = ", ".join(response.channel for response in device.responses)
+        raise ValueError(f"recordings: found none of the responses {names}, need at least one")
+    low, high = sorted(device.operating_range)
+    drive = np.concatenate([grid.current for grid in grids])
+    if np.ptp(drive) < 0.1 * (high - low):
+        raise ValueError(
+            f"recordings: found {device.drive_channel} between {drive.min():g} and {drive.max():g} {device.drive_unit}, "
+            f"need one that spans at least a tenth of the operating range {low:g} to {high:g} of device {device.id}"
+        )
+    values = {role: _along(grids, role) for role in roles}
+    say("lag, delay and sense", 0.05)
+    coverage = coverage_of(grids, device)
+    dynamics = choose_dynamics(grids, device, values, rates=not coverage.one_rate)
+    ends = (high, low) if dynamics.falling else (low, high)
+    if ends != device.operating_range:
+        device = device.running(ends)
+    model = DeviceModel(device.key)
+    scalars = {"driver.dead_time": dynamics.delay}
+    if dynamics.lag:
+        scalars["thermal.time_constant"] = dynamics.lag
+    model = replace(model, scalars={**model.scalars, **scalars})
+    path = film_path(model, grids, True)
+    notes = list(coverage.notes)
+    banks: dict[str, PlayBank] = {}
+    sensors: dict[str, SensorModel] = {}
+    residuals: dict[str, Floats] = {}
+    uncertainty: dict[str, tuple[float, ...]] = {}
+    for k, role in enumerate(roles):
+        channel = device.names[role]
+        say(f"loop of {channel}", 0.4 + 0.5 * k / len(roles))
+        fit, misfit, kind = _loop(path, values[role], dynamics.degree)
+        notes.append(f"{channel}: {kind}")
+        section = SECTIONS[role]
+        banks[section] = fit.shape.bank()
+        uncertainty |= {f"{section}.{name}": std for name, std in bank_uncertainty(fit).items()}
+        residuals[role] = fit.residual
+        residual = float(np.sqrt(np.nanmean(fit.residual**2)))
+        noise = device.noise.get(role, noise_of_recordings(recordings, role))
+        sensors[role] = SensorModel(
+            noise=noise, residual=residual, misfit=misfit, residual_colour=residual_colour(fit.residual)
+        )
+        level = noise / np.log(10.0) if role == RESISTANCE else noise
+        unit = "log10 ohm" if role == RESISTANCE else device.units[role]
+        if note := misfit_note(grids, device, channel, unit, fit.residual, values[role], level):
+            notes.append(note)
+    return FitResult(
+        model=replace(
+            model,
+            resistance=banks.get("resistance", PlayBank()),
+            deflection=banks.get("deflection", PlayBank()),
+            sensors=sensors,
+            uncertainty=uncertainty,
+        ),
+        path=path,
+        ends=tuple(int(n) for n in np.cumsum([grid.current.size + 1 for grid in grids])),
+        residuals=residuals,
+        settled=True,
+        notes=tuple(notes),
+    )
+
+
+def _along(grids: Sequence[GriddedRecording], role: str) -> Floats:
+    """Measured values along the path, one missing before each recording."""
+    parts = []
+    for grid in grids:
+        parts += [np.array([np.nan]), grid.measured.get(role, np.full(grid.current.size, np.nan))]
+    return np.concatenate(parts)
+
+
+def _loop(path: Floats, values: Floats, degree: int) -> tuple[BankFit, float, str]:
+    """Return the loop that predicts held-out parts best, its error there, and what it is made of."""
+    inside = path[path > path.min()]
+    dictionary = PlayDictionary.over(float(inside.min()), float(inside.max()), **_FINE)
+    convex = fit_dictionary(dictionary, path, values, degree=degree)
+    fold = fold_of(np.isfinite(values))
+    last = fold == FOLDS - 1
+    train = np.where(last, np.nan, values)
+    gap = convex.held_out[last]
+    least = float(np.sqrt(np.nanmean(gap**2)))
+    chosen: BankShape | None = None
+    count = np.count_nonzero(np.isfinite(train))
+    for plays in _REFINED if count <= _LONGEST else ():
+        start = _started(convex, plays, degree)
+        if count < 2 * start.vector.size:
+            continue
+        moved = fit_bank(path, train, start, iterations=_STEPS)
+        error = float(np.sqrt(np.nanmean(moved.residual_of(path, values)[last] ** 2)))
+        if error < _MARGIN * least:
+            least, chosen = error, moved.shape
+    misfit = convex.misfit * least / float(np.sqrt(np.nanmean(gap**2)))
+    if chosen is not None:
+        fit = fit_bank(path, values, chosen, iterations=_STEPS)
+        return fit, misfit, f"{chosen.centre.size} plays, moved, and a polynomial of degree 3"
+    shape = convex.shape(degree=degree)
+    output, jacobian = evaluate(shape, path)
+    kind = f"{shape.centre.size} plays on a grid and a polynomial of degree {degree}"
+    return BankFit(shape, values - output, jacobian, 0), misfit, kind
+
+
+def _started(convex: DictionaryFit, plays: int, degree: int) -> BankShape:
+    """The heaviest plays of a convex fit; the polynomial may bend."""
+    return convex.shape(plays, degree=max(degree, 3))
