@@ -1,6 +1,9 @@
 """The whole diagnosis on simulated devices whose hysteresis is an ensemble of domains, not the fitted family."""
 
 import json
+import resource
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -427,3 +430,20 @@ def test_the_command_refuses_what_is_no_bag(tmp_path, capsys, parameters) -> Non
     )
     assert status == 2
     assert "none" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_full_disk_names_the_file_and_leaves_nothing(parameters, tmp_path) -> None:
+    save_model_parameters(tmp_path / "model.yaml", parameters)
+    write_bag(tmp_path / "bag", concealed(samples=2000))
+
+    def small_disk():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+    command = [sys.executable, "-m", "vo2_identification.diagnose", "--bag", "bag", "--model", "model.yaml"]
+    ended = subprocess.run(
+        [*command, "--output", "found"], cwd=tmp_path, preexec_fn=small_disk, capture_output=True, text=True
+    )
+    assert ended.returncode == 2, ended.stderr
+    assert ended.stderr.strip() == "diagnose: found/corrected_model.yaml: cannot be written (File too large)"
+    assert list((tmp_path / "found").iterdir()) == []

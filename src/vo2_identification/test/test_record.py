@@ -140,6 +140,24 @@ def test_a_full_disk_is_said_and_the_bag_closed_readable(graph, tmp_path):
     assert counted(tmp_path / "bag") == {"/vo2/measurement": len(recording)}
 
 
+def test_a_disk_that_is_full_before_the_first_sample_leaves_no_stub(graph, tmp_path):
+    measurement = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
+    with running(RECORD, "--output", tmp_path / "bag") as process:
+        wait_for_recorder(measurement)
+        (file,) = (tmp_path / "bag").glob("*.mcap")
+        room = file.stat().st_size  # none beyond that of the empty bag
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (room, room))
+        deadline = time.monotonic() + PATIENCE_S
+        while process.poll() is None and time.monotonic() < deadline:
+            measurement.publish(sample(0))
+            time.sleep(0.01)
+        _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 1
+    assert f"record: {tmp_path / 'bag'}: cannot be written" in err and "nothing was recorded" in err
+    assert len(err.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_latched_references_odd_publishers_and_repeats(graph, tmp_path):
     reference = graph.publisher(JointState, "/vo2/reference", LATCHED_QOS)
     reference.publish(COMMANDED.write(0, (5.0,)))  # before the recorder is there

@@ -61,7 +61,10 @@ def _convert(options: argparse.Namespace) -> int:
             refused += 1
             _refuse(str(error))
         except OSError as error:
-            return _refuse(f"{options.output}: cannot be written ({error.strerror or error})")
+            place = error.filename or options.output
+            return _refuse(
+                f"{place}: cannot be written ({error.strerror or error}); free some space or name another"
+            )
     if refused and len(files) > 1:
         _refuse(f"{refused} of {len(files)} files were not converted")
     return 2 if refused else 0
@@ -78,7 +81,10 @@ def _convert_file(file: Path, column_map: ColumnMap, options: argparse.Namespace
     for converted in convert_file(file, column_map, only=options.only):
         recording = converted.recording
         path = options.output / converted.name if several else options.output
-        write_bag(path, recording, storage=options.storage, namespace=options.namespace)
+        try:
+            write_bag(path, recording, storage=options.storage, namespace=options.namespace)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror or str(error), str(path)) from error
         for problem in in_few_lines(converted.problems):
             print(f"convert: {problem}", file=sys.stderr)
         units = {name: SI[quantity] for name, quantity in CHANNEL_QUANTITIES.items()}

@@ -47,10 +47,14 @@ def main(args: Sequence[str] | None = None) -> int:
         bag = BagWriter(options.output, storage=options.storage)
     except BagError as error:
         return _refuse(str(error))
+    status = 2
     try:
-        return _record(bag, options, ros_args)
+        status = _record(bag, options, ros_args)
     finally:
         bag.close()
+        if status and not bag.count:
+            bag.discard()
+    return status
 
 
 def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) -> int:
@@ -123,6 +127,13 @@ def _enough(recorder: Recorder, options: argparse.Namespace) -> bool:
 def _summary(recorder: Recorder, topics: list[str], failure: OSError | None) -> int:
     bag = recorder.bag
     counts = ", ".join(f"{topic} {count}" for topic, count in sorted(bag.counts.items())) or "none"
+    if failure is not None and not bag.count:
+        print(
+            f"record: {bag.path}: cannot be written ({failure.strerror or failure}); nothing was recorded; "
+            "free some space and record again",
+            file=sys.stderr,
+        )
+        return 1
     if failure is not None:
         print(
             f"record: {bag.path}: cannot be written any more ({failure.strerror or failure}); the bag is closed and "

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
@@ -71,6 +72,7 @@ class BagWriter:
             self._storage: Any = kind(self.path / f"{self.path.resolve().name}_0{ending}")
             self._write_metadata(self._metadata())
         except OSError as error:
+            self.discard()
             raise BagError(f"{path}: cannot be written ({error.strerror or error})") from error
 
     @property
@@ -146,6 +148,10 @@ class BagWriter:
             self.flush()
         finally:
             self._storage.close()
+
+    def discard(self) -> None:
+        """Remove the folder that this writer has made; for a bag in which nothing arrived."""
+        shutil.rmtree(self.path, ignore_errors=True)
 
     def __enter__(self) -> Self:
         return self
@@ -225,7 +231,7 @@ def write_bag(
     storage: str = "mcap",
     namespace: str = "/vo2",
 ) -> Path:
-    """Write recordings as a bag and return its path; log times are the stamps.
+    """Write recordings as a bag and return its path; log times are the stamps. The bag is whole or not there.
 
     A measurement with `commanded_current` also becomes commands, each stamped with the sample before the
     interval that it governs, unless the recordings bring a command of their own.
@@ -252,7 +258,23 @@ def write_bag(
     stamps = [np.rint(given[role].time_s * 1e9).astype(np.int64) for role in roles]
     messages = [_encoded(given[role], stamp) for role, stamp in zip(roles, stamps, strict=True)]
     # flushed by size alone: the same recordings make the same file, byte for byte
-    with BagWriter(path, storage=storage, flush_period_s=math.inf) as bag:
+    bag = BagWriter(path, storage=storage, flush_period_s=math.inf)
+    try:
+        _write_all(bag, roles, namespace, stamps, messages)
+    except BaseException:  # a full disk, Ctrl-C
+        bag.discard()
+        raise
+    return bag.path
+
+
+def _write_all(
+    bag: BagWriter,
+    roles: Sequence[str],
+    namespace: str,
+    stamps: Sequence[np.ndarray],
+    messages: Sequence[list[bytes]],
+) -> None:
+    with bag:
         topics = [bag.add_topic(f"{namespace.rstrip('/')}/{role}", JOINT_STATE) for role in roles]
         topic = np.repeat(np.arange(len(roles)), [stamp.size for stamp in stamps])
         every = np.concatenate(stamps) if stamps else np.empty(0, np.int64)
@@ -261,7 +283,6 @@ def write_bag(
         in_order = zip(topic[order].tolist(), every[order].tolist(), place[order].tolist(), strict=True)
         for which, stamp, k in in_order:
             bag.write(topics[which], stamp, messages[which][k])
-    return bag.path
 
 
 def _encoded(recording: Recording, stamp_ns: np.ndarray) -> list[bytes]:

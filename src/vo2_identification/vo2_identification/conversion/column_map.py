@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import codecs
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
 from vo2_models.device.description import PRESETS, DeviceDescription, preset
+from vo2_models.io import InputError, read_yaml
 from vo2_models.units import CHANNEL_QUANTITIES, SI, Unit, fitting_units, unit_named
 
 __all__ = ["ColumnMap", "Guard", "MapError", "Series", "Source", "read_map"]
 
 
-class MapError(ValueError):
+class MapError(InputError):
     """A map or a table that cannot be used; the message is one line that names the place and the remedy."""
 
 
@@ -105,6 +106,8 @@ _TABLE_KEYS = {
     "series": dict,
 }
 _MISSING = ("", "nan", "na", "n/a", "null", "none", "-")
+_NOT_OF_TABLES = {"idna", "punycode", "undefined", "unicode_escape", "raw_unicode_escape"}
+_NO_DELIMITERS = '"\r\n\0'
 _DELIMITERS = {"tab": "\t", "comma": ",", "semicolon": ";"}
 
 
@@ -116,27 +119,35 @@ def read_map(path: Path) -> ColumnMap:
     MapError : not readable, a key that is not known, a value that does not fit, a unit that is not the channel's.
     """
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise MapError(f"map {path}: cannot be read ({error.strerror or error}), need a YAML file") from error
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        raise MapError(f"map {path}: cannot be read ({' '.join(str(error).split())})") from error
+        document = read_yaml(path)
+    except InputError as error:
+        raise MapError(f"map {error}") from error
     where = f"map {path}"
     table = _checked(document, _TABLE_KEYS, where)
     form = table.get("format") or ("xlsx" if str(table.get("files", "")).endswith(".xlsx") else "csv")
     _one_of(form, ("csv", "xlsx"), f"{where}: format")
+    for key in ("header_row", "first_row", "last_row"):
+        if table.get(key, 0) < 0:
+            raise MapError(f"{where}: {key}: found {table[key]}, need a row from 1 on")
     header = table.get("header_row", 0)
     decimal = table.get("decimal", ".")
     _one_of(decimal, (".", ","), f"{where}: decimal")
     encoding = table.get("encoding", "utf-8-sig")
     try:
-        codecs.lookup(encoding)
-    except LookupError:
-        raise MapError(f"{where}: encoding: found {encoding!r}, which Python does not know") from None
+        if codecs.lookup(encoding).name in _NOT_OF_TABLES:
+            raise LookupError
+        "a".encode(encoding)  # of a codec that makes no text, such as zlib, a LookupError too
+    except (LookupError, ValueError):
+        raise MapError(
+            f"{where}: encoding: found {encoding!r}, which is no text encoding known here"
+        ) from None
     delimiter = table.get("delimiter", ",")
     delimiter = _DELIMITERS.get(delimiter, delimiter)
-    if delimiter != "whitespace" and len(delimiter) != 1:
+    if delimiter != "whitespace" and (len(delimiter) != 1 or delimiter in _NO_DELIMITERS):
         raise MapError(f"{where}: delimiter: found {delimiter!r}, need one character, tab or whitespace")
+    files = table.get("files", "*.xlsx" if form == "xlsx" else "*.csv")
+    if not files or "/" in files or "**" in files or files in (".", ".."):
+        raise MapError(f"{where}: files: found {files!r}, need a pattern of file names without folders")
     if "series" in table and "channels" in table:
         raise MapError(f"{where}: found series and channels, need one of them")
     device = table.get("device", "")
@@ -154,7 +165,7 @@ def read_map(path: Path) -> ColumnMap:
     return ColumnMap(
         path=path,
         description=table.get("description", ""),
-        files=table.get("files", "*.xlsx" if form == "xlsx" else "*.csv"),
+        files=files,
         form=form,
         delimiter=delimiter,
         encoding="utf-8-sig" if encoding.lower().replace("_", "-") in {"utf-8", "utf8"} else encoding,
@@ -181,6 +192,9 @@ def _device(name: str, path: Path) -> DeviceDescription | None:
 
 
 def _series(name: str, part: Any, common_time: Any, where: str, quantities: Mapping[str, str]) -> Series:
+    # it becomes part of a folder's name
+    if any(letter in "/\\" or not letter.isprintable() for letter in name) or len(name) > 100:
+        raise MapError(f"{where}: need a name of at most 100 printable characters without slashes")
     part = _checked(part, {"time": dict, "channels": dict}, where)
     if not part.get("channels"):
         raise MapError(f"{where}: found no channels, need at least one of {', '.join(quantities)}")
@@ -206,8 +220,8 @@ def _time(entry: Any, where: str) -> Source | float:
     if "column" in entry:
         return _source(entry, "time", f"{where}: time")
     rate = _checked(entry, {"rate_hz": float}, f"{where}: time")["rate_hz"]
-    if not rate > 0:
-        raise MapError(f"{where}: time: rate_hz: found {rate!r}, need a number above 0")
+    if not 0 < rate < math.inf:
+        raise MapError(f"{where}: time: rate_hz: found {rate!r}, need a finite number above 0")
     return float(rate)
 
 
@@ -253,7 +267,8 @@ def _checked(document: Any, keys: Mapping[str, Any], where: str) -> dict[str, An
         if kinds == (float,) and isinstance(value, str):
             value = _number(value)  # YAML 1.1 takes 1e-6, without a point, for a text
         allowed = (*kinds, int) if float in kinds else kinds
-        if not isinstance(value, allowed) or isinstance(value, bool):
+        too_large = isinstance(value, int) and abs(value) >= 2**63
+        if not isinstance(value, allowed) or isinstance(value, bool) or too_large:
             wanted = " or ".join(kind.__name__ for kind in kinds)
             raise MapError(f"{where}: {key}: found {value!r}, need {wanted}")
         result[key] = value

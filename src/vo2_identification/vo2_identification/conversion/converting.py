@@ -43,7 +43,7 @@ def files_of(source: Path, column_map: ColumnMap) -> list[Path]:
     MapError : nothing there.
     """
     if source.is_dir():
-        found = sorted(source.glob(column_map.files))
+        found = sorted(each for each in source.glob(column_map.files) if each.is_file())
         if not found:
             raise MapError(f"{source}: found no file {column_map.files} in it, need one; or name a file")
         return found
@@ -156,7 +156,7 @@ def _values(table: Table, source: Source, column_map: ColumnMap) -> NDArray[np.f
         cell = cells[place] if place < len(cells) else None
         try:
             values[k] = number(cell)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise MapError(
                 f"{table.path}: row {row}, column {source.column!r}: found {cell!r}, need a number; "
                 + _remedy(cell, column_map)

@@ -1,19 +1,36 @@
-"""CSV, whitespace-separated text and XLSX as rows of cells."""
+"""CSV, whitespace-separated text and XLSX as rows of cells.
+
+A table is held in memory: at most 10 million cells, some 1 GB, from a file of at most 537 MB (of a workbook:
+decompressed, and at most 100 times its size), with lines of at most a million characters.
+"""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+import struct
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO, TypeVar
+from zipfile import BadZipFile, ZipFile
+
+from vo2_models.io import InputError, check_regular
 
 from vo2_identification.conversion.column_map import ColumnMap, MapError
 
 __all__ = ["Table", "read_table"]
 
 _HEADER_SEARCH = 200
+_MOST_BYTES = 1 << 29
+_LONGEST_LINE = 1 << 20
+_MOST_CELLS = 10_000_000
+_MOST_ROWS = 1 << 20  # of a sheet
+_MOST_TIMES = 100  # workbooks expand some 20 times
+_SLACK = 1 << 20
 _WORKBOOK = b"PK\x03\x04"  # an .xlsx file is a ZIP archive
+
+
+_Row = TypeVar("_Row", bound=Sequence[Any])
 
 
 @dataclass(frozen=True)
@@ -85,11 +102,16 @@ def read_table(path: Path, column_map: ColumnMap) -> Table:
             name = f"{path} sheet {sheet}"
         else:
             cells = _text_rows(path, column_map)
+    except MapError:
+        raise
+    except InputError as error:
+        raise MapError(str(error)) from error
     except OSError as error:
         raise MapError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
+    except UnicodeError as error:
+        place = f"byte {error.start}" if isinstance(error, UnicodeDecodeError) else "the text"
         raise MapError(
-            f"{path}: byte {error.start} is not {column_map.encoding}; set encoding in the map, for instance cp1252"
+            f"{path}: {place} is not {column_map.encoding}; set encoding in the map, for instance cp1252"
         ) from error
     except csv.Error as error:
         raise MapError(f"{path}: not a table that can be read ({error})") from error
@@ -111,35 +133,91 @@ def read_table(path: Path, column_map: ColumnMap) -> Table:
 
 
 def _text_rows(path: Path, column_map: ColumnMap) -> list[list[str]]:
+    check_regular(path, _MOST_BYTES)
     with path.open("rb") as binary:
         if binary.read(4) == _WORKBOOK:
             raise MapError(
                 f"{path}: found an .xlsx workbook, need a text table; or set format: xlsx in the map"
             )
     with path.open(encoding=column_map.encoding, newline="") as file:
+        lines = _lines(file, path)
         if column_map.delimiter == "whitespace":
-            return [line.split() for line in file]
-        return list(csv.reader(file, delimiter=column_map.delimiter))
+            return _limited((line.split() for line in lines), path)
+        return _limited(csv.reader(lines, delimiter=column_map.delimiter), path)
+
+
+def _lines(file: TextIO, path: Path) -> Iterator[str]:
+    number = 0
+    while line := file.readline(_LONGEST_LINE):
+        number += 1
+        if len(line) == _LONGEST_LINE:
+            raise MapError(
+                f"{path}: line {number} has more than {_LONGEST_LINE} characters, need rows of a table"
+            )
+        yield line
+
+
+def _limited(rows: Iterable[_Row], path: Path) -> list[_Row]:
+    """Return the rows; refuse a table that would not fit into memory."""
+    taken: list[_Row] = []
+    cells = 0
+    for row in rows:
+        cells += len(row)
+        if cells > _MOST_CELLS or len(taken) >= _MOST_CELLS:
+            raise MapError(
+                f"{path}: row {len(taken) + 1}: found more than {_MOST_CELLS / 1e6:g} million cells up to here; "
+                "split the table, or delete stray cells far to the right or below"
+            )
+        taken.append(row)
+    return taken
 
 
 def _sheet(path: Path, wanted: str | None) -> tuple[str, list[Sequence[Any]]]:
-    from zipfile import BadZipFile
-
     from openpyxl import load_workbook
-    from openpyxl.utils.exceptions import InvalidFileException
 
+    check_regular(path, _MOST_BYTES)
+    _check_archive(path)
     try:
         book = load_workbook(path, read_only=True, data_only=True)
-    except (BadZipFile, InvalidFileException, KeyError) as error:
+        try:
+            if wanted is not None and wanted not in book.sheetnames:
+                raise MapError(
+                    f"{path}: found no sheet {wanted!r}, the workbook has {', '.join(book.sheetnames)}"
+                )
+            sheet = book[wanted] if wanted is not None else book.worksheets[0]
+            # what the file says of its size is neither reliable nor needed
+            sheet.reset_dimensions()
+            rows = sheet.iter_rows(values_only=True, max_row=_MOST_ROWS + 1)
+            found = _limited(rows, path)
+            if len(found) > _MOST_ROWS:
+                raise MapError(
+                    f"{path}: found a cell below row {_MOST_ROWS}, the last one of a sheet; delete it"
+                )
+            return sheet.title, found
+        finally:
+            book.close()
+    except (MapError, OSError):
+        raise
+    except Exception as error:  # openpyxl raises whatever its parsers meet in a damaged workbook
+        raise MapError(
+            f"{path}: not an .xlsx workbook that can be read ({type(error).__name__}: {error}); save it anew, "
+            "or for a text table set format: csv in the map"
+        ) from error
+
+
+def _check_archive(path: Path) -> None:
+    """Refuse a ZIP archive that expands to more than a workbook does; what it says of its members binds the reading."""
+    try:
+        with ZipFile(path) as archive:
+            members = archive.infolist()
+    except (BadZipFile, ValueError, NotImplementedError, LookupError, struct.error) as error:
         raise MapError(
             f"{path}: not an .xlsx workbook ({error}); for a text table set format: csv in the map"
         ) from error
-    try:
-        if wanted is not None and wanted not in book.sheetnames:
-            raise MapError(
-                f"{path}: found no sheet {wanted!r}, the workbook has {', '.join(book.sheetnames)}"
-            )
-        sheet = book[wanted] if wanted is not None else book.worksheets[0]
-        return sheet.title, list(sheet.iter_rows(values_only=True))
-    finally:
-        book.close()
+    size = sum(member.file_size for member in members)
+    packed = path.stat().st_size
+    if size > _MOST_BYTES or size > _MOST_TIMES * packed + _SLACK:
+        raise MapError(
+            f"{path}: found {packed / 1e6:.4g} MB that expand to {size / 1e6:.4g} MB, need at most "
+            f"{_MOST_TIMES} times and {_MOST_BYTES / 1e6:.4g} MB; save the table as csv"
+        )
