@@ -37,6 +37,14 @@ def command_of(rig, k, deflection, reference=30 * UM):
     return next(values[0] for stamp, values in rig.heard["/vo2/command"] if stamp == k * MS)
 
 
+def paced_command(rig, k, deflection, reference=30 * UM, period_ms=50):
+    """Wall time: the same on a plant that follows, so that the loop closes."""
+    commands = rig.heard["/vo2/command"]
+    flowing = commands[-1][1][0] if commands else 0.0
+    rig.say("/vo2/measurement", k * period_ms * MS, {"heater_current": flowing})
+    return command_of(rig, k * period_ms, deflection, reference)
+
+
 def test_a_command_waits_for_the_reference_of_its_stamp():
     with controller() as rig:
         rig.hear("/vo2/command", ("heater_current",))
@@ -76,10 +84,11 @@ def test_wall_time_an_estimator_that_stops_leads_to_the_safe_current():
     with controller("time:=wall", "rate_hz:=20.0") as rig:
         rig.hear("/vo2/command", ("heater_current",))
         rig.add(ControllerNode)
-        first = command_of(rig, 1, 29 * UM)
+        last = [paced_command(rig, k, 29 * UM) for k in range(1, 6)][-1]
+        assert last > POINT.lower_a
         rig.until(lambda: rig.heard["/vo2/command"][-1][1][0] == 0.0)
         values = [value[0] for _, value in rig.heard["/vo2/command"]]
-        assert 3 <= values.count(first) <= 5
+        assert 3 <= values.count(last) <= 5
         rig.until(lambda: "nothing on estimate" in rig.status("controller: input")[0])
 
 
@@ -128,15 +137,18 @@ def test_robust_design_commands_and_a_refused_one_leaves_the_former_at_work():
         # negative current heats this device: a deflection below its reference asks for less current
         assert warmer[-1] < warmer[0]
         running = node._law
-        for values, reason in (
-            ({"hinf.current_gain_k_per_a": 50.0}, "need the sign - of this device"),
-            ({"hinf.current_gain_k_per_a": -50.0, "hinf.performance.gain": 100.0}, "need at most 1"),
+        for k, (values, reason) in enumerate(
+            (
+                ({"hinf.current_gain_k_per_a": 50.0}, "need the sign - of this device"),
+                ({"hinf.current_gain_k_per_a": -50.0, "hinf.performance.gain": 100.0}, "need at most 1"),
+            ),
+            6,
         ):
             node._table.set(values)
             answer = redesign()
             assert not answer.success and reason in answer.message
             rig.until(lambda reason=reason: reason in rig.status("controller: design")[0])
-            command_of(rig, 125 * (6 + len(reason)), 25 * UM, 30 * UM)
+            command_of(rig, 125 * k, 25 * UM, 30 * UM)
             assert node._law is running
         node._table.set({"hinf.performance.gain": 0.05})
         assert redesign().success
@@ -244,3 +256,85 @@ def test_reference_follows_measurement_stamps_and_starts_again_when_set_anew():
         assert [values[0] / UM for _, values in rig.heard["/vo2/reference"][3:]] == pytest.approx(
             [30.0, 45.0]
         )
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"limits.upper_a": 10.0}, "limits.upper_a: found 10 A, need 0 to 0.01278 A"),
+        ({"operating_a": -0.001}, "operating_a: found -0.001 A, need 0 to 0.01278 A"),
+        ({"pid.kp": 1e7}, "pid.kp: found 1e.07, need at most 2.24e.05"),
+        ({"pid.ki": -1e9}, "pid.ki: found -1e.09, need at most 2.24e.08"),
+        ({"pid.kd": 1e4}, "pid.kd: found 10000, need at most 224"),
+    ],
+)
+def test_parameters_beyond_what_the_device_bears_are_refused_where_they_are_set_and_at_the_start(
+    values, reason
+):
+    with controller() as rig:
+        node = rig.add(ControllerNode)
+        before = node._table.given()
+        with pytest.raises(ValueError, match=reason):
+            node._table.set(values)
+        assert node._table.given() == before
+    name, value = next(iter(values.items()))
+    with controller(f"{name}:={value!r}") as rig, pytest.raises(ValueError, match=reason):
+        rig.add(ControllerNode)
+
+
+def test_wall_time_samples_that_piled_up_are_not_answered_and_the_integrator_waits():
+    """A second of estimates far below the set-point arrives at once: without the rule the current goes to its end."""
+    with controller("time:=wall", "rate_hz:=20.0", "reference_hold:=true") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        rig.add(ControllerNode)
+        last = [paced_command(rig, k, 30 * UM) for k in range(1, 8)][-1]
+        rig.spin(1.0)
+        rig.heard["/vo2/command"].clear()
+        for k in range(8, 28):
+            rig.say("/vo2/estimate", 50 * k * MS, estimate(2 * UM))
+        rig.until(lambda: "older than 3 periods" in rig.status("controller: stale")[0])
+        rig.spin(0.3)
+        assert max(values[0] for _, values in rig.heard["/vo2/command"]) < last + 3e-4
+
+
+def test_wall_time_the_loop_waits_for_a_plant_that_follows():
+    with controller("time:=wall", "rate_hz:=20.0") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        rig.add(ControllerNode)
+        found = []
+        for k in range(1, 15):
+            rig.say("/vo2/measurement", 50 * k * MS, {"heater_current": 0.0})
+            found.append(command_of(rig, 50 * k, 2 * UM))
+        assert found == [0.006] * 14, "the surrogate's current, and no integral of it"
+        rig.until(lambda: "does not follow" in rig.status("controller: input")[0])
+        rig.say("/vo2/measurement", 50 * 15 * MS, {"heater_current": 0.006})
+        rig.spin(0.02)
+        command_of(rig, 50 * 15, 2 * UM)
+        rig.until(lambda: "loop is closed" in rig.status("controller: input")[0])
+
+
+def test_wall_time_a_second_controller_stands_by_until_the_first_is_silent():
+    with controller("time:=wall", "rate_hz:=20.0") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        rig.add(ControllerNode)
+        for k in range(1, 6):
+            rig.say("/vo2/command", 50 * k * MS, {"heater_current": 0.005})
+            rig.say("/vo2/estimate", 50 * k * MS, estimate(30 * UM))
+            rig.say("/vo2/reference", 50 * k * MS, {"tip_deflection": 30 * UM})
+            rig.until(lambda k=k: len(rig.heard["/vo2/command"]) >= k)
+            rig.spin(0.01)
+        assert {values[0] for _, values in rig.heard["/vo2/command"]} == {0.005}
+        rig.until(lambda: "standing by" in rig.status("controller: input")[0])
+        rig.spin(0.3)
+        rig.heard["/vo2/command"].clear()
+        command_of(rig, 50 * 20, 30 * UM)
+
+
+def test_samples_that_stay_away_are_told_in_lockstep_too_and_taken_back():
+    with controller() as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        rig.add(ControllerNode)
+        command_of(rig, 1, 29 * UM)
+        rig.until(lambda: "nothing on estimate for 1 s" in rig.status("controller: bonds")[0])
+        command_of(rig, 2, 29 * UM)
+        rig.until(lambda: "arrive on every topic again" in rig.status("controller: bonds")[0])

@@ -37,17 +37,6 @@ def test_bad_estimate_holds_three_samples_then_lets_go(bad):
     assert decision.current_a == 0.0 and decision.mode == "safe" and "safe current" in decision.reason
 
 
-def test_silent_estimator_holds_three_periods_then_lets_go():
-    s = supervisor()
-    held = run(s, 20).current_a
-    assert s.silence(19.9 * PERIOD).mode == "tracking"
-    assert s.silence(21 * PERIOD).mode == "holding"
-    assert s.silence(22 * PERIOD).current_a == held
-    decision = s.silence(22.6 * PERIOD)
-    assert decision.current_a == 0.0 and "no estimate" in decision.reason
-    assert s.silence(400 * PERIOD).reason == decision.reason
-
-
 def test_comes_back_without_a_bump():
     s = supervisor()
     run(s, 20)
@@ -77,9 +66,27 @@ def test_reference_out_of_reach_is_clipped_with_the_reason(reference, clipped):
     assert s.sample(PERIOD, 30e-6, 25e-6).reason == ""
 
 
-def test_idle_until_the_first_sample():
-    decision = supervisor().silence(5.0)
-    assert decision.mode == "idle" and decision.current_a == 0.0
+def test_wall_time_a_loop_left_alone_starts_anew_from_the_safe_current():
+    s = supervisor(wall_time=True)
+    run(s, 20)
+    s.release(22 * PERIOD, followed=True)
+    assert s.mode == "tracking"
+    s.release(60 * PERIOD, followed=True)
+    assert s.mode == "safe" and s.current_a == 0.0
+    assert s.sample(60 * PERIOD, 30e-6, 3e-6).current_a == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_integrator_waits_while_the_plant_does_not_follow():
+    s = supervisor()
+    s.begin_at(0.004)
+    for k in range(500):
+        s.release(k * PERIOD, followed=False)
+        waiting = s.sample(k * PERIOD, 30e-6, 2e-6, followed=False)
+        assert waiting.mode == "starting" and "does not follow" in waiting.reason
+    assert s.sample(500 * PERIOD, 30e-6, 2e-6).current_a == pytest.approx(0.004, abs=1e-12)
+    run(s, 200, 501)
+    s.release(701 * PERIOD, followed=False)
+    assert s.sample(701 * PERIOD, 30e-6, 2e-6, followed=False).current_a == 0.0
 
 
 def test_redesign_while_running_is_bumpless():

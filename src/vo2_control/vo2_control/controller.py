@@ -54,8 +54,11 @@ class Controller(Protocol):
 
     def reset(
         self, current_a: float, reference_m: float, estimate_m: float, feedforward_a: float = 0.0
-    ) -> None:
-        """Start anew so that the next `update` with these signals continues from `current_a` [A]."""
+    ) -> float:
+        """Start anew so that the next `update` with these signals continues from `current_a` [A].
+
+        Return the current that this is, within the limits [A].
+        """
         ...
 
 
@@ -253,8 +256,8 @@ class LinearController:
 
     def reset(
         self, current_a: float, reference_m: float, estimate_m: float, feedforward_a: float = 0.0
-    ) -> None:
-        """Start bumplessly from `current_a` [A], clipped to the range, at the given signals [m]."""
+    ) -> float:
+        """Start bumplessly from `current_a` [A], clipped to the range, at the given signals [m]; return it clipped."""
         signals = finite_array([reference_m, estimate_m], "reference_m, estimate_m")
         current = min(
             max(float(finite_array(current_a, "current_a", ndim=0)), self.limits.lower_a), self.limits.upper_a
@@ -265,3 +268,4 @@ class LinearController:
             v = current * current - ahead * abs(ahead)
         from_v, from_w = self._starts
         self._state = [*(from_v * v + from_w @ signals).tolist(), current]
+        return current

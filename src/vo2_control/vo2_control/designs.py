@@ -28,6 +28,7 @@ __all__ = [
     "CONTROLLER_KINDS",
     "CONTROLLER_PARAMETERS",
     "LIMIT_PARAMETERS",
+    "check_device_limits",
     "current_limits",
     "design_controller",
     "design_feedforward",
@@ -64,6 +65,9 @@ _PUBLISHED = {
 }
 _REACH_LEVELS = 400
 _GAINS = ("pid.kp", "pid.ki", "pid.kd")
+_SHARE_OF_RANGE = 1e-3
+"""Share of the deflection range that is no more than noise: a gain by which it swings the current over all that the
+device bears controls nothing."""
 
 
 def design_controller(
@@ -86,6 +90,7 @@ def design_controller(
     """
     if kind not in CONTROLLER_KINDS:
         raise ValueError(f"kind: found {kind!r}, need one of {', '.join(CONTROLLER_KINDS)}")
+    check_device_limits(preset, sample_period_s, values)
     limits = current_limits(preset, values)
     if kind == "hinf":
         # the synthesis libraries take a second to load: only for who designs with them
@@ -100,6 +105,40 @@ def design_controller(
     if operating:
         return LinearController(replace(controller.law, operating_a=operating), limits)
     return controller
+
+
+def check_device_limits(preset: str, sample_period_s: float, values: Mapping[str, Value]) -> None:
+    """Refuse currents that the device does not bear, and gains that swing it from end to end at every sample.
+
+    Parameters
+    ----------
+    preset : device preset
+    sample_period_s : [s]
+    values : what was set of `CONTROLLER_PARAMETERS`; order of the limits and sign of the gains are judged by the design
+
+    Raises
+    ------
+    ValueError : name, what was found, what the device bears.
+    """
+    point = operating_point(preset)
+    for name in ("limits.lower_a", "limits.upper_a", _OPERATING.name):
+        value = float(values.get(name, 0.0))  # type: ignore[arg-type]
+        if not point.least_a <= value <= point.most_a:
+            raise ValueError(
+                f"{name}: found {value:g} A, need {point.least_a:g} to {point.most_a:g} A, which {preset} bears"
+            )
+    span, unit = point.most_a - point.least_a, "A/m"
+    if values.get("pid.coordinate") == "heating_power":
+        span, unit = max(point.most_a**2, point.least_a**2), "A^2/m"
+    most = span / (_SHARE_OF_RANGE * point.deflection_range_m)
+    kp, ki, kd, filter_s = (float(values.get(name, 0.0)) for name in (*_GAINS, "pid.derivative_filter_s"))  # type: ignore[arg-type]
+    per_gain = (1.0, sample_period_s, 1.0 / (filter_s + sample_period_s))
+    for name, gain, factor in zip(_GAINS, (kp, ki, kd), per_gain, strict=True):
+        if abs(gain) * factor > most:
+            raise ValueError(
+                f"{name}: found {gain:g}, need at most {most / factor:.3g} ({unit} at once): beyond, "
+                f"{1e6 * _SHARE_OF_RANGE * point.deflection_range_m:.2g} um of noise swing the current from end to end"
+            )
 
 
 def current_limits(preset: str, values: Mapping[str, Value]) -> CurrentLimits:
@@ -136,6 +175,7 @@ def design_feedforward(
         )
     if device != preset:
         raise ValueError(f"model.device: found {device}, need the preset {preset}; load its model")
+    check_device_limits(preset, sample_period_s, values)
     return feedforward_from_model(values, sample_period_s, limits=current_limits(preset, values))
 
 

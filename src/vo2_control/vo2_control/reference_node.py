@@ -82,10 +82,14 @@ class ReferenceNode(Node):
 
     def _on_measurement(self, data: bytes) -> None:
         stamp_ns, _ = self._reader.read(data)
-        if self._order.is_repeat(stamp_ns) and self._answer:
+        order = self._order.judge(stamp_ns)
+        if order == "repeat" and self._answer:
             self._publisher.publish(self._answer)
             return
-        if self._order.jumped_back(stamp_ns):
+        if order == "late":
+            self._diagnostics.count("late", f"samples on {MEASUREMENT} came late and were dropped")
+            return
+        if order == "restart":
             self._start_ns = None
         if self._table.revision != self._revision:
             self._revision = self._table.revision

@@ -13,11 +13,14 @@ from vo2_models.validation import positive_number
 
 from vo2_control.controller import Controller
 
-__all__ = ["Decision", "SafetySettings", "Supervisor"]
+__all__ = ["OPEN", "Decision", "SafetySettings", "Supervisor"]
 
 ABSURD_M = 1.0
 """Deflection [m] that no microactuator has: a value beyond is as good as none."""
-Mode = Literal["idle", "tracking", "limited", "holding", "safe"]
+_NOT_FOLLOWED = "the measured current does not follow the command: the loop closes once it does"
+Mode = Literal["idle", "starting", "tracking", "limited", "holding", "safe"]
+OPEN: tuple[Mode, ...] = ("idle", "starting", "safe")
+"""Modes without a closed loop: the controller starts anew from the present current with the sample that closes it."""
 
 
 @dataclass(frozen=True)
@@ -30,12 +33,14 @@ class SafetySettings:
     safe_current_a : where the loop goes when it may not go on [A]
     hold_periods : sample periods for which the last current is held without good input
     reach_m : lowest and highest deflection that the device reaches [m]; references are clipped to it
+    wall_time : whether time passes, and the plant lets go, while no samples are answered
     """
 
     sample_period_s: float
     safe_current_a: float = 0.0
     hold_periods: int = 3
     reach_m: tuple[float, float] = (-math.inf, math.inf)
+    wall_time: bool = False
 
     def __post_init__(self) -> None:
         positive_number(self.sample_period_s, "sample_period_s")
@@ -59,8 +64,8 @@ class Decision(NamedTuple):
 class Supervisor:
     """Runs a controller on good samples; holds, then goes to the safe current, on anything else.
 
-    `sample` is called with every estimate, `silence` by a clock at least every sample period. Neither raises on
-    bad values: a loop under current must always get an answer.
+    `sample` is called with every estimate, `lost` for every one that cannot be used or does not come. Neither raises
+    on bad values: a loop under current must always get an answer.
     """
 
     def __init__(self, controller: Controller, settings: SafetySettings) -> None:
@@ -85,6 +90,20 @@ class Supervisor:
         if self._mode == "idle" and math.isfinite(current_a):
             self._current = current_a
 
+    def stand_by(self) -> None:
+        """Leave the device to another node that commands it: the next sample begins as the first one did."""
+        self._current, self._mode = self.settings.safe_current_a, "idle"
+
+    def release(self, time_s: float, *, followed: bool) -> None:
+        """Before a sample taken at `time_s` [s]: open a loop that the plant has left, so that it starts anew.
+
+        It has left where it does not do what it is told (not `followed`), and, in wall time, where it got no commands
+        for longer than it holds the last one.
+        """
+        left = not followed or (self.settings.wall_time and self._is_over(time_s))
+        if left and self._mode not in OPEN:
+            self._current, self._mode = self.settings.safe_current_a, "safe"
+
     def reachable(self, reference_m: float) -> float:
         """Return the reference clipped to the reach of the device [m]."""
         low, high = self.settings.reach_m
@@ -99,15 +118,29 @@ class Supervisor:
         self._controller = controller
 
     def sample(
-        self, time_s: float, reference_m: float, estimate_m: float, feedforward_a: float = 0.0
+        self,
+        time_s: float,
+        reference_m: float,
+        estimate_m: float,
+        feedforward_a: float = 0.0,
+        *,
+        followed: bool = True,
     ) -> Decision:
-        """Answer one sample taken at `time_s` [s]."""
+        """Answer one sample taken at `time_s` [s].
+
+        While the plant does not do what it is told (not `followed`), a loop that is open stays where it will start, and
+        the controller's memory with it: an integrator must not wind up on a device that does not listen.
+        """
         reference = self.reachable(reference_m)
         known = math.isfinite(reference_m) and abs(reference) < ABSURD_M
         if not (known and abs(estimate_m) < ABSURD_M):
             return self._without_input(time_s, self._fault(reference_m, estimate_m))
-        if self._mode in ("idle", "safe"):
-            self._controller.reset(self._current, reference, estimate_m, feedforward_a)
+        if self._mode in OPEN:
+            start = self._controller.reset(self._current, reference, estimate_m, feedforward_a)
+            if not followed:
+                self._current, self._last_good_s = start, time_s
+                self._mode, self._reason = "starting", _NOT_FOLLOWED
+                return Decision(self._current, self._mode, self._reason)
         self._current = self._controller.update(reference, estimate_m, feedforward_a)
         self._last_good_s = time_s
         self._mode, self._reason = "tracking", ""
@@ -120,23 +153,24 @@ class Supervisor:
             )
         return Decision(self._current, self._mode, self._reason)
 
+    def repeat(self, time_s: float) -> Decision:
+        """Answer a good sample taken before the plant applied the last current: say it again, the controller waits."""
+        self._last_good_s = time_s
+        return Decision(self._current, self._mode, self._reason)
+
     def lost(self, time_s: float, why: str) -> Decision:
         """Answer a sample that cannot be used, `why` in the words of who found it: hold, then the safe current."""
         return self._without_input(time_s, why)
 
-    def silence(self, time_s: float) -> Decision:
-        """Answer a clock tick: nothing to do while samples are in time, else hold, else the safe current."""
-        late = time_s - self._last_good_s
-        if self._mode == "idle" or late <= 1.5 * self.settings.sample_period_s:
-            return Decision(self._current, self._mode, self._reason)
-        if self._mode in ("holding", "safe") and self._reason:
-            return self._without_input(time_s, self._reason.split(":")[0])
-        return self._without_input(time_s, "no estimate arrives")
+    def _is_over(self, time_s: float) -> bool:
+        """Whether the last good sample is too long ago to hold on to it."""
+        # half a period of slack, so that jitter of the clock does not cost a sample
+        hold_s = (self.settings.hold_periods + 0.5) * self.settings.sample_period_s
+        return time_s - self._last_good_s > hold_s
 
     def _without_input(self, time_s: float, fault: str) -> Decision:
-        period, limit = self.settings.sample_period_s, self.settings.hold_periods
-        # half a period of slack, so that jitter of the clock does not cost a sample
-        if self._mode not in ("idle", "safe") and time_s - self._last_good_s <= (limit + 0.5) * period:
+        limit = self.settings.hold_periods
+        if self._mode not in OPEN and not self._is_over(time_s):
             self._mode = "holding"
             self._reason = f"{fault}: holding {self._current:.6g} A for at most {limit} samples"
         else:

@@ -80,7 +80,7 @@ def test_an_absent_channel_is_named_with_those_there_are():
         )
 
 
-def test_a_repeated_stamp_is_answered_with_the_same_bytes_and_a_jump_back_is_told():
+def test_a_repeated_stamp_is_answered_with_the_same_bytes():
     with polynomial() as rig:
         rig.hear("/vo2/estimate", CHANNELS)
         with_model(rig.add(EstimatorNode))
@@ -89,8 +89,27 @@ def test_a_repeated_stamp_is_answered_with_the_same_bytes_and_a_jump_back_is_tol
         rig.until(lambda: len(rig.heard["/vo2/estimate"]) == 2)
         stamp_ns, again = rig.heard["/vo2/estimate"][1]
         assert (stamp_ns, again[0]) == (5 * MS, first[0])
-        answer(rig, 2 * MS, {"film_resistance": 1e5})
+
+
+def test_late_samples_are_dropped_and_counted_and_a_source_that_started_anew_is_told():
+    with polynomial() as rig:
+        rig.hear("/vo2/estimate", CHANNELS)
+        node = rig.add(EstimatorNode)
+        with_model(node)
+        answer(rig, MS, {"film_resistance": 1e5})
+        restarts = []
+        node._scheme.restart = lambda: restarts.append(1)
+        for k in (5, 2, 6, 4, 3, 7):
+            rig.say("/vo2/measurement", k * MS, {"film_resistance": 1e5})
+        rig.until(lambda: rig.heard["/vo2/estimate"] and rig.heard["/vo2/estimate"][-1][0] == 7 * MS)
+        assert [stamp // MS for stamp, _ in rig.heard["/vo2/estimate"]] == [1, 5, 6, 7]
+        assert not restarts and node._diagnostics._present["late"][2] == {"count": "2"}
+        # a plant that started anew in lockstep repeats its first sample until it is answered
+        for _ in range(4):
+            rig.say("/vo2/measurement", 3 * MS, {"film_resistance": 1e5})
+            rig.spin(0.2)
         rig.until(lambda: "jumped back" in rig.status("estimator: stamps")[0])
+        assert rig.heard["/vo2/estimate"][-1][0] == 3 * MS and restarts == [1]
 
 
 def test_a_model_that_lacks_what_the_scheme_needs_is_refused_with_the_reason():

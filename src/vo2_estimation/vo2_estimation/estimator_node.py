@@ -104,14 +104,18 @@ class EstimatorNode(Node):
 
     def _on_measurement(self, data: bytes) -> None:
         stamp_ns, (value, current) = self._reader.read(data)
-        if self._order.is_repeat(stamp_ns):
+        order = self._order.judge(stamp_ns)
+        if order == "repeat":
             self._publisher.publish(self._answer)
+            return
+        if order == "late":
+            self._diagnostics.count("late", f"samples on {MEASUREMENT} came late and were dropped")
             return
         if self._table.revision != self._revision:
             self._rebuild(stamp_ns)
             # the scheme may want another channel
             stamp_ns, (value, current) = self._reader.read(data)
-        if self._order.jumped_back(stamp_ns):
+        if order == "restart":
             self._diagnostics.report(
                 "stamps",
                 "warn",

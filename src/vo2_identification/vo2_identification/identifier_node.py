@@ -246,11 +246,15 @@ class IdentifierNode(Node):
         if self._state not in ("exciting", "listening"):
             return
         stamp_ns, values = self._reader.read(data)
-        if self._order.is_repeat(stamp_ns):
+        order = self._order.judge(stamp_ns)
+        if order == "repeat":
             if self._answer:
                 self._publisher.publish(self._answer)
             return
-        if self._order.jumped_back(stamp_ns):
+        if order == "late":
+            self._diagnostics.count("late", f"samples on {MEASUREMENT} came late and were dropped")
+            return
+        if order == "restart":
             self._tell(
                 "failed",
                 "the stamp jumped back while recording: was the plant or the bag restarted? start again",

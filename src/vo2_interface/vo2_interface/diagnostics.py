@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
@@ -21,6 +22,8 @@ _LEVELS = {
 }
 _WATCH_S = 0.5
 _LINKS = "links"
+_QUIET_LOOKS = 2
+"""Looks in a row, `_WATCH_S` apart, at which an input has brought nothing before that is told."""
 
 
 class Diagnostics:
@@ -36,6 +39,8 @@ class Diagnostics:
         self._present: dict[str, tuple[str, str, dict[str, str]]] = {}
         self._watched: list[Publisher] = []
         self._heard = b""
+        self._inputs: dict[str, tuple[Callable[[], int], deque[int]]] = {}
+        self._counts: dict[str, int] = {}
         self._name = node.get_fully_qualified_name().lstrip("/")
         self.hardware_id = hardware_id
 
@@ -65,6 +70,35 @@ class Diagnostics:
         In simulated time nobody else knows it: no status is on another clock than the samples around it.
         """
         self._heard = data
+
+    def count(self, topic: str, text: str, *, stamp_ns: int | None = None) -> None:
+        """Count one more of what `text` says as a warning; told at 1, 2, 4, 8 ...: a flood must not cause another."""
+        number = self._counts[text] = self._counts.get(text, 0) + 1
+        if number & (number - 1) == 0:
+            self.report(topic, "warn", text, {"count": number}, stamp_ns=stamp_ns)
+
+    def watch_input(self, topic: str, count: Callable[[], int]) -> None:
+        """Report on `bonds` when samples of a topic, once there, stay away for a second; and when they are back.
+
+        `count` returns how many have come so far.
+        """
+        if not self._inputs:
+            create_steady_timer(self._node, _WATCH_S, self._look_at_inputs)
+        self._inputs[topic] = (count, deque(maxlen=1 + _QUIET_LOOKS))
+
+    def _look_at_inputs(self) -> None:
+        silent = []
+        for topic, (count, seen) in self._inputs.items():
+            seen.append(count())
+            if seen[-1] and len(seen) == seen.maxlen and seen[0] == seen[-1]:
+                silent.append(topic)
+        if silent:
+            text = (
+                f"nothing on {' and '.join(silent)} for {_QUIET_LOOKS * _WATCH_S:g} s: is its node running?"
+            )
+            self.report("bonds", "warn", text)
+        elif self.level("bonds") != "ok":
+            self.report("bonds", "ok", "samples arrive on every topic again")
 
     def watch_listeners(self, publisher: Publisher) -> None:
         """Report on `links` how many listeners the publisher has, again and again for who comes late."""

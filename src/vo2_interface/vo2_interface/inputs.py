@@ -44,6 +44,7 @@ class SampleInput:
     receive : is called with each serialized sample; may raise `MalformedSampleError` before it changes anything
     diagnostics : where faults are told, as `input NAME`
     latched : whether samples from before the start are wanted
+    steady : whether samples come all the time, so that their absence is told; those of a latched topic need not
     """
 
     def __init__(
@@ -54,9 +55,11 @@ class SampleInput:
         diagnostics: Diagnostics,
         *,
         latched: bool = False,
+        steady: bool = True,
     ) -> None:
         self._node, self._topic, self._receive, self._diagnostics = node, topic, receive, diagnostics
         self._refused: Counter[str] = Counter()
+        self._arrived = 0
         self._last_ns: int | None = None
         self._step_ns = 0
         self._steps = 0
@@ -64,6 +67,8 @@ class SampleInput:
         self._qos = copy(LATCHED_QOS if latched else READ_QOS)
         self._subscription = self._subscribe(QoSOverridingOptions(_OVERRIDABLE))
         self._qos = self._subscription.qos_profile
+        if steady and not latched:
+            diagnostics.watch_input(topic, lambda: self._arrived)
 
     def _subscribe(self, options: QoSOverridingOptions | None = None) -> Subscription:
         events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible)
@@ -78,6 +83,7 @@ class SampleInput:
         )
 
     def _on_message(self, data: bytes) -> None:
+        self._arrived += 1
         try:
             self._receive(data)
             self._diagnostics.note_sample(data)

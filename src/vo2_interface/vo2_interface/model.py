@@ -22,7 +22,8 @@ class OperatingPoint:
     ----------
     rate_hz : usual sampling rate
     lower_a, upper_a : range of the operating current [A]
-    cold_a, hot_a : its ends by temperature [A]: below and above both transitions
+    least_a, most_a : what the device bears [A]; nothing beyond is ever commanded
+    cold_a, hot_a : ends of the operating range by temperature [A]: below and above both transitions
     settle_s : time after which a held current is quasi-static [s]
     deflection_range_m : what "per cent of range" divides by [m]
     """
@@ -30,6 +31,8 @@ class OperatingPoint:
     rate_hz: float
     lower_a: float
     upper_a: float
+    least_a: float
+    most_a: float
     cold_a: float
     hot_a: float
     settle_s: float
@@ -47,6 +50,8 @@ def operating_point(preset_id: str) -> OperatingPoint:
         rate_hz=1.0 / nominal.sample_period,
         lower_a=min(cold, hot),
         upper_a=max(cold, hot),
+        least_a=min(nominal.current_range),
+        most_a=max(nominal.current_range),
         cold_a=cold,
         hot_a=hot,
         settle_s=round(_SETTLE_CONSTANTS * nominal.time_constant / nominal.sample_period + 0.5)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import ParameterException
@@ -33,6 +33,8 @@ class ParameterTable:
     node : the node that declares them
     records : what to declare
     read_only : names that are fixed once the node runs
+    judge : is given the values that a change would lead to, those set only, and raises `ValueError` to refuse it;
+        not asked for what the node starts with, from which it builds itself
 
     Attributes
     ----------
@@ -45,11 +47,19 @@ class ParameterTable:
         the message names the parameter, what was found and what is needed.
     """
 
-    def __init__(self, node: Node, records: Iterable[Parameter], *, read_only: Iterable[str] = ()) -> None:
+    def __init__(
+        self,
+        node: Node,
+        records: Iterable[Parameter],
+        *,
+        read_only: Iterable[str] = (),
+        judge: Callable[[Mapping[str, Value]], None] | None = None,
+    ) -> None:
         self._node = node
         self._records = {record.name: record for record in records}
         self._values: dict[str, Value] = {name: record.default for name, record in self._records.items()}
         self._given: set[str] = set()
+        self._judge: Callable[[Mapping[str, Value]], None] | None = None
         self.revision = 0
         fixed = set(read_only)
         node.add_on_set_parameters_callback(self._check)
@@ -57,6 +67,7 @@ class ParameterTable:
             self._declare(record, read_only=record.name in fixed)
         self._set_empty_arrays()
         node.add_post_set_parameters_callback(self._accept)
+        self._judge = judge
 
     def __getitem__(self, name: str) -> Value:
         return self._values[name]
@@ -131,14 +142,18 @@ class ParameterTable:
             raise ValueError(result.reason)
 
     def _check(self, parameters: list[RosParameter]) -> SetParametersResult:
-        for parameter in parameters:
-            record = self._records.get(parameter.name)
-            if record is None or parameter.type_ == RosParameter.Type.NOT_SET:
-                continue
-            try:
+        after = self.given() if self._judge is not None else {}
+        try:
+            for parameter in parameters:
+                record = self._records.get(parameter.name)
+                if record is None or parameter.type_ == RosParameter.Type.NOT_SET:
+                    continue
                 record.check(_from_ros(parameter))
-            except ValueError as error:
-                return SetParametersResult(successful=False, reason=str(error))
+                after[parameter.name] = _from_ros(parameter)
+            if self._judge is not None:
+                self._judge(after)
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _accept(self, parameters: list[RosParameter]) -> None:

@@ -7,6 +7,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 __all__ = [
     "CLOCK",
     "COMMAND",
+    "COMMANDER",
     "COMMAND_CHANNELS",
     "DEFAULT_NAMESPACE",
     "DIAGNOSTICS",
@@ -35,6 +36,8 @@ DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
 
 COMMAND_CHANNELS = ("heater_current",)
+COMMANDER = "commander"
+"""Wall time: channel of a command with the number of the node that commands, so that the plant can listen to one."""
 ESTIMATE_CHANNELS = ("tip_deflection", "temperature_surrogate", "tip_deflection_bound")
 REFERENCE_CHANNELS = ("tip_deflection",)
 

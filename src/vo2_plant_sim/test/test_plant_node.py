@@ -181,3 +181,65 @@ def test_the_plant_says_what_it_simulates_on_the_clock_of_its_samples():
             "simulates integrated, seed 3, effects {creep: {share: 0.05}}, noise on, lockstep"
         )
         assert set(stamps) == {1}
+
+
+def wall(rig, samples, command):
+    """Answer each of the next measurements with what `command` returns for the newest stamp [ns]."""
+    for _ in range(samples):
+        count = len(rig.heard["/vo2/measurement"])
+        rig.until(lambda count=count: len(rig.heard["/vo2/measurement"]) > count)
+        stamp_ns = rig.heard["/vo2/measurement"][-1][0]
+        for offset_ns, values in command(stamp_ns):
+            rig.say("/vo2/command", stamp_ns + offset_ns, values)
+    return [values[0] for _, values in rig.heard["/vo2/measurement"]]
+
+
+def test_wall_time_a_command_that_is_half_a_second_old_is_not_applied():
+    with lockstep("time:=wall", "rate_hz:=20.0") as rig:
+        rig.hear("/vo2/measurement", CHANNELS)
+        rig.add(PlantNode)
+        wall(rig, 3, lambda _: [(0, {"heater_current": 0.005})])
+        currents = wall(
+            rig, 10, lambda _: [(-500 * MS, {"heater_current": 0.012}), (0, {"heater_current": 0.005})]
+        )
+        assert max(currents) < 0.0055
+        assert "answer no sample of the last 3 periods" in rig.status("plant: stale")[0]
+
+
+def test_wall_time_the_first_of_two_commanders_is_heard_until_it_is_silent():
+    first = {"heater_current": 0.004, "commander": 1.0}
+    second = {"heater_current": 0.012, "commander": 2.0}
+    stranger = {"heater_current": 0.011}
+    with lockstep("time:=wall", "rate_hz:=20.0") as rig:
+        rig.hear("/vo2/measurement", CHANNELS)
+        rig.add(PlantNode)
+        wall(rig, 3, lambda _: [(0, first)])
+        before = len(rig.heard["/vo2/measurement"])
+        currents = wall(rig, 10, lambda _: [(0, second), (0, first), (0, stranger)])
+        assert max(currents[before:]) < 0.0045
+        assert "another node commands too" in rig.status("plant: commanders")[0]
+        assert wall(rig, 8, lambda _: [(0, second)])[-1] == pytest.approx(0.012, abs=2e-4)
+
+
+def test_no_current_that_the_device_does_not_bear_is_applied():
+    with lockstep() as rig:
+        rig.hear("/vo2/measurement", CHANNELS)
+        rig.add(PlantNode)
+        rig.until(lambda: rig.heard["/vo2/measurement"])
+        rig.say("/vo2/command", S, {"heater_current": 0.0193})
+        rig.until(lambda: rig.heard["/vo2/measurement"][-1][0] == S + MS)
+        assert rig.heard["/vo2/measurement"][-1][1][0] == pytest.approx(0.01278, abs=1e-4)
+        rig.until(
+            lambda: "outside the 0 to 0.01278 A that the device bears" in rig.status("plant: command")[0]
+        )
+
+
+def test_a_lockstep_sample_that_nobody_answers_is_told_and_taken_back():
+    with lockstep() as rig:
+        rig.hear("/vo2/measurement", CHANNELS)
+        rig.add(PlantNode)
+        rig.until(lambda: rig.heard["/vo2/measurement"])
+        rig.say("/vo2/command", S, {"heater_current": 0.005})
+        rig.until(lambda: "nothing on command for 1 s" in rig.status("plant: bonds")[0])
+        rig.say("/vo2/command", S + MS, {"heater_current": 0.005})
+        rig.until(lambda: "every topic again" in rig.status("plant: bonds")[0])

@@ -2,7 +2,9 @@
 
 In lockstep a command answers the measurement whose stamp it carries; the plant applies it, advances one
 sample and publishes the next measurement, as fast as the loop answers. In wall time the plant keeps the
-pace, applies the newest command, and takes the safe current when commands stop.
+pace, applies the newest command, and takes the safe current when commands stop. There it refuses commands that
+are too old by the stamp they answer, and listens to one commander until that one is silent. In both it applies
+no current that the device does not bear.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from vo2_interface.emergency_stop import EmergencyStop
 from vo2_interface.executable import run_nodes
 from vo2_interface.inputs import SampleInput
 from vo2_interface.lockstep import HOLD_SAMPLES, REPEAT_S
-from vo2_interface.model import PRESETS, model_parameters
+from vo2_interface.model import PRESETS, model_parameters, operating_point
 from vo2_interface.parameters import ParameterTable
 from vo2_interface.samples import ClockWriter, SampleReader, SampleWriter
 from vo2_interface.timers import create_steady_timer
@@ -29,6 +31,7 @@ from vo2_interface.topics import (
     CLOCK,
     COMMAND,
     COMMAND_CHANNELS,
+    COMMANDER,
     DEFAULT_NAMESPACE,
     MEASUREMENT,
     SAFE_CURRENT_A,
@@ -65,6 +68,7 @@ _CLOCK_NS = 10_000_000
 _BEAT_NS = 1_000_000_000
 _CLOCKS_S = 1.0
 """Wall time between two looks for others that tell the time [s]."""
+_SOLE = "another node commands too; only the first is heard until it is silent: let one node command"
 _LATE = 0.75
 """Share of a period by which a sample may be late before it counts as skipped."""
 
@@ -90,7 +94,9 @@ class PlantNode(Node):
         self._start_ns = _START_NS
         self._stamp_ns = self._start_ns
         self._command: tuple[int, float] | None = None
-        self._since_command = 0
+        self._since_command = HOLD_SAMPLES + 1
+        self._commander = math.nan
+        self._point = operating_point(preset)
         self._timing = LoopTiming(self._device.period)
         self._answered_ns = 0
         self._used_a = SAFE_CURRENT_A
@@ -106,16 +112,18 @@ class PlantNode(Node):
         self._clock_out = None
         if self._lockstep and self._table.flag("clock"):
             self._clock_out = self.create_publisher(Clock, CLOCK, SAMPLE_QOS)
-        SampleInput(self, COMMAND, self._on_command, self._diagnostics)
         self._stop = EmergencyStop(self, self._diagnostics)
         self._clocks_seen_at = 0.0
         self._published_at = time.monotonic()
         if self._lockstep:
+            SampleInput(self, COMMAND, self._on_command, self._diagnostics)
             self._advance(SAFE_CURRENT_A)
             self._publish()
             create_steady_timer(self, REPEAT_S / 4.0, self._on_quiet)
         else:
             self._due_s = 0.0
+            self._reader = SampleReader((*COMMAND_CHANNELS, COMMANDER))
+            SampleInput(self, COMMAND, self._on_paced_command, self._diagnostics)
             create_steady_timer(self, self._device.period, self._on_tick)
         self._tell_device(preset)
 
@@ -131,24 +139,51 @@ class PlantNode(Node):
         ]
         self._diagnostics.report("device", "ok", ", ".join(parts))
 
-    def _on_command(self, data: bytes) -> None:
-        stamp_ns, (current,) = self._reader.read(data)
-        if not math.isfinite(current):
-            self._diagnostics.report(
-                "command",
-                "error",
-                f"heater_current on {COMMAND} is {current}; the safe current {SAFE_CURRENT_A:g} A is applied instead",
-                stamp_ns=self._stamp_ns,
-            )
-            current = SAFE_CURRENT_A
-        if not self._lockstep:
-            self._command = (stamp_ns, current)
-            self._since_command = 0
-            self._answered_ns = stamp_ns
-            now = time.monotonic()
-            late_s = now - self._published_at + 1e-9 * (self._stamp_ns - stamp_ns)
-            self._timing.command(now, max(late_s, 0.0))
+    def _borne(self, current: float) -> float:
+        """Return what the device bears of a commanded current [A], and tell where that is another one."""
+        if self._point.least_a <= current <= self._point.most_a:
+            return current
+        if math.isfinite(current):
+            applied = min(max(current, self._point.least_a), self._point.most_a)
+            why = f"outside the {self._point.least_a:g} to {self._point.most_a:g} A that the device bears"
+        else:
+            applied, why = SAFE_CURRENT_A, "not finite"
+        self._diagnostics.report(
+            "command",
+            "error",
+            f"heater_current on {COMMAND} is {current:g} A, {why}; {applied:g} A is applied instead",
+            stamp_ns=self._stamp_ns,
+        )
+        return applied
+
+    def _on_paced_command(self, data: bytes) -> None:
+        """Wall time: take the newest command of the one that commands."""
+        stamp_ns, (current, commander) = self._reader.read(data)
+        if self._since_command > HOLD_SAMPLES:
+            self._commander = commander
+        # two without a name are one
+        elif commander != self._commander and not (math.isnan(commander) and math.isnan(self._commander)):
+            self._diagnostics.count("commanders", _SOLE)
             return
+        if abs(self._stamp_ns - stamp_ns) > HOLD_SAMPLES * self._period_ns:
+            self._diagnostics.count(
+                "stale", f"commands answer no sample of the last {HOLD_SAMPLES} periods and were not applied"
+            )
+            return
+        if stamp_ns < self._answered_ns:
+            self._diagnostics.count("stale", "commands came out of order and were not applied")
+            return
+        self._command = (stamp_ns, self._borne(current))
+        self._since_command = 0
+        self._answered_ns = stamp_ns
+        now = time.monotonic()
+        late_s = now - self._published_at + 1e-9 * (self._stamp_ns - stamp_ns)
+        self._timing.command(now, max(late_s, 0.0))
+
+    def _on_command(self, data: bytes) -> None:
+        """Lockstep: take the answer to the present sample."""
+        stamp_ns, (current,) = self._reader.read(data)
+        current = self._borne(current)
         if stamp_ns == self._stamp_ns and self._command is None:
             self._command = (stamp_ns, current)
             self._answer_lockstep()

@@ -1,6 +1,7 @@
 """Latent heat of the transition."""
 
-from vo2_models.effects.record import HEAT, PHASE, Effect, constant_of
+from vo2_models.device.coefficients import Coefficient
+from vo2_models.effects.record import HEAT, PHASE, Effect, constant_of, setting
 
 EFFECT = Effect(
     id="latent_heat",
@@ -11,6 +12,7 @@ EFFECT = Effect(
         ),
         PHASE,
     ),
+    apply=setting(latent=Coefficient.LATENT, phase=Coefficient.METALLIC_LEADS),
     channels=HEAT,
     presets=("integrated",),
     typical={"integrated": {"latent": (5.0, 25.0)}},
@@ -27,7 +29,3 @@ EFFECT = Effect(
         "outside the transition."
     ),
 )
-
-
-def latent(latent):
-    return latent

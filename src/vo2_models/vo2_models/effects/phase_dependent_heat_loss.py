@@ -1,6 +1,7 @@
 """The metallic phase conducts heat differently."""
 
-from vo2_models.effects.record import HEAT, PHASE, Effect, constant_of
+from vo2_models.device.coefficients import Coefficient
+from vo2_models.effects.record import HEAT, PHASE, Effect, constant_of, setting
 
 EFFECT = Effect(
     id="phase_dependent_heat_loss",
@@ -11,6 +12,7 @@ EFFECT = Effect(
         ),
         PHASE,
     ),
+    apply=setting(gamma=Coefficient.PHASE_LOSS, phase=Coefficient.METALLIC_LEADS),
     channels=HEAT,
     presets=("integrated",),
     typical={"integrated": {"gamma": (0.04, 0.15)}},
@@ -26,7 +28,3 @@ EFFECT = Effect(
         "current the film has another temperature on the heating than on the cooling branch."
     ),
 )
-
-
-def conductance(fraction, gamma):
-    return gamma * fraction

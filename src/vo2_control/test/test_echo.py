@@ -1,0 +1,53 @@
+"""Whether the plant follows: from the measured current alone, for any driver."""
+
+import math
+
+import pytest
+from vo2_control.echo import CommandEcho
+
+MS = 1_000_000
+
+
+def play(commands, measured):
+    """Command and measure in turn: the current of each sample is what the plant made of the command before."""
+    echo = CommandEcho(0.0, 0.012)
+    for k, (command, current) in enumerate(zip(commands, measured, strict=True)):
+        echo.command(k * MS, command)
+        echo.measure((k + 1) * MS, current)
+    return echo
+
+
+def test_a_plant_at_the_safe_current_does_not_follow_until_it_moves():
+    echo = play([0.004] * 5, [0.0] * 5)
+    assert not echo.followed
+    echo.measure(6 * MS, 0.0039)
+    assert echo.followed
+
+
+def test_a_loop_that_ran_opens_after_three_samples_at_the_safe_current():
+    assert play([0.006] * 8, [0.006] * 5 + [0.0] * 3).followed
+    assert not play([0.006] * 9, [0.006] * 5 + [0.0] * 4).followed
+
+
+@pytest.mark.parametrize(
+    "driver", [lambda i: 0.8 * i, lambda i: min(i, 0.005), lambda i: i + 3e-4, lambda _: math.nan]
+)
+def test_a_driver_with_errors_of_its_own_is_followed_and_not_behind(driver):
+    commands = [0.004 + 3e-4 * k for k in range(12)]
+    echo = play(commands, [driver(i) for i in commands])
+    assert echo.followed
+    assert driver(0.012) == 0.005 or not echo.behind
+
+
+def test_a_command_that_came_late_is_seen():
+    commands = [0.004, 0.0045, 0.005]
+    assert play(commands, [0.004, 0.0045, 0.0045]).behind
+    assert not play(commands, commands).behind
+
+
+def test_only_what_the_plant_does_after_a_restart_counts():
+    echo = play([0.004] * 3, [0.004] * 3)
+    echo.restart()
+    echo.command(3 * MS, 0.004)
+    echo.measure(3 * MS, 0.004)
+    assert not echo.followed

@@ -1,0 +1,316 @@
+"""What the nodes that command have in common: one sample and one set-point in, one current out, and safe without them.
+
+In lockstep every sample is answered. In wall time a sample counts only while it is young: what piled up behind a stall
+is dropped, a period without input is told to the supervisor, and the loop closes once the plant follows.
+"""
+
+from __future__ import annotations
+
+import math
+import secrets
+import time
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from vo2_interface.diagnostics import Diagnostics
+from vo2_interface.emergency_stop import EmergencyStop
+from vo2_interface.inputs import SampleInput
+from vo2_interface.lockstep import HOLD_SAMPLES, SampleAge, StampOrder
+from vo2_interface.model import PRESETS, model_parameters, operating_point
+from vo2_interface.parameters import ParameterTable
+from vo2_interface.samples import SampleReader, SampleWriter
+from vo2_interface.timers import create_steady_timer
+from vo2_interface.topics import (
+    COMMAND,
+    COMMAND_CHANNELS,
+    COMMANDER,
+    DEFAULT_NAMESPACE,
+    MEASUREMENT,
+    REFERENCE,
+    REFERENCE_CHANNELS,
+    SAFE_CURRENT_A,
+    SAMPLE_QOS,
+)
+from vo2_models.parameters import Parameter, Value
+
+from vo2_control.designs import check_device_limits
+from vo2_control.echo import CommandEcho
+from vo2_control.safe import OPEN, Decision, SafetySettings, Supervisor
+
+__all__ = ["COMMAND_NODE_PARAMETERS", "CommandNode"]
+
+COMMAND_NODE_PARAMETERS = (
+    Parameter(
+        "preset", "integrated", "", "Device preset: range of the current, sample period.", choices=PRESETS
+    ),
+    Parameter("enabled", True, "", "Whether the node commands; off, it only listens."),
+    Parameter("time", "lockstep", "", "Whose pace the loop keeps.", choices=("lockstep", "wall")),
+    Parameter("rate_hz", 0.0, "Hz", "Sampling rate; 0 for the preset's.", 0.0, 20e3),
+    Parameter(
+        "reference_hold",
+        False,
+        "",
+        "True: the last set-point holds until the next (set-points by hand). "
+        "False: every sample waits for the set-point of its own stamp.",
+    ),
+)
+_LATE = 1.5
+"""Periods after which a sample that has not come counts as missing, and one that comes is too old to be answered."""
+
+
+class CommandNode(Node):
+    """A node that answers each sample of `source` together with its set-point.
+
+    A node built on it makes `_supervisor` (None: the safe current for every sample), calls `_listen` when it is ready,
+    and implements `_restart`, `_rebuild` and `_decide`.
+
+    Parameters
+    ----------
+    name : of the node
+    records : parameters beside `COMMAND_NODE_PARAMETERS` and `model.*`
+    source : topic whose samples are answered
+    channels : what it needs of them
+    """
+
+    def __init__(self, name: str, records: Sequence[Parameter], source: str, channels: Sequence[str]) -> None:
+        super().__init__(name, namespace=DEFAULT_NAMESPACE)
+        self._table = ParameterTable(
+            self,
+            (*COMMAND_NODE_PARAMETERS, *records, *model_parameters()),
+            read_only=("preset", "time", "rate_hz"),
+            judge=self._judge,
+        )
+        self._revision = self._table.revision
+        preset = self._table.text("preset")
+        self._point = operating_point(preset)
+        self._period_s = 1.0 / (self._table.number("rate_hz") or self._point.rate_hz)
+        self._wall = self._table.text("time") == "wall"
+        self._diagnostics = Diagnostics(self, hardware_id=preset)
+        self._stop = EmergencyStop(self, self._diagnostics)
+        self._supervisor: Supervisor | None = None
+        self._source = source
+        self._order, self._age = StampOrder(), SampleAge()
+        self._echo = CommandEcho(SAFE_CURRENT_A, self._point.most_a - self._point.least_a)
+        self._reference: tuple[int, float] | None = None
+        self._waiting: tuple[int, tuple[float, ...]] | None = None
+        self._answer = b""
+        self._input_s = -math.inf
+        self._source_reader = SampleReader(channels)
+        self._reference_reader = SampleReader(REFERENCE_CHANNELS)
+        self._current_reader = SampleReader(COMMAND_CHANNELS)
+        # in lockstep a command carries nothing that differs from run to run
+        self._name: tuple[float, ...] = (float(secrets.randbits(32)),) if self._wall else ()
+        self._rival_s, self._rival = -math.inf, math.nan
+        self._rival_reader = SampleReader((COMMANDER,))
+        self._writer = SampleWriter((*COMMAND_CHANNELS, *((COMMANDER,) if self._wall else ())), preset)
+        self._publisher = self.create_publisher(JointState, COMMAND, SAMPLE_QOS)
+        self._diagnostics.watch_listeners(self._publisher)
+
+    def _listen(self) -> None:
+        """Begin to take samples: last, so that none waits for what the node builds."""
+        SampleInput(self, REFERENCE, self._on_reference, self._diagnostics, latched=True)
+        SampleInput(self, self._source, self._on_source, self._diagnostics)
+        if self._wall:
+            SampleInput(self, MEASUREMENT, self._on_current, self._diagnostics)
+            SampleInput(self, COMMAND, self._on_command, self._diagnostics, steady=False)
+            create_steady_timer(self, self._period_s, self._on_tick)
+
+    def close(self) -> None:
+        """Leave the device at the safe current (wall time; in lockstep no time passes without us)."""
+        commands = self._supervisor is not None and self._supervisor.mode != "idle"
+        if self._wall and commands and self._table.flag("enabled") and self._order.last_ns is not None:
+            self._publish(self._present_ns(), SAFE_CURRENT_A)
+
+    # --- what a node built on this one adds ---------------------------------------------------------
+
+    @abstractmethod
+    def _rebuild(self) -> object:
+        """Take over changed parameters."""
+
+    @abstractmethod
+    def _restart(self) -> None:
+        """Start anew, as for a device that has been switched on."""
+
+    @abstractmethod
+    def _decide(
+        self, supervisor: Supervisor, stamp_ns: int, values: tuple[float, ...], reference_m: float
+    ) -> Decision | str:
+        """Return what to command for a sample and its finite set-point, or in words why the sample cannot be used."""
+
+    def _settings(self, reach_m: tuple[float, float]) -> SafetySettings:
+        return SafetySettings(
+            self._period_s,
+            safe_current_a=SAFE_CURRENT_A,
+            hold_periods=HOLD_SAMPLES,
+            reach_m=reach_m,
+            wall_time=self._wall,
+        )
+
+    @property
+    def _followed(self) -> bool:
+        """Whether the plant does what it is told; in lockstep it cannot go on without."""
+        return self._echo.followed or not self._wall
+
+    # --- samples ------------------------------------------------------------------------------------
+
+    def _on_reference(self, data: bytes) -> None:
+        stamp_ns, (value,) = self._reference_reader.read(data)
+        self._reference = (stamp_ns, value)
+        self._act()
+
+    def _on_current(self, data: bytes) -> None:
+        stamp_ns, (current,) = self._current_reader.read(data)
+        self._echo.measure(stamp_ns, current)
+
+    def _on_command(self, data: bytes) -> None:
+        _stamp_ns, (name,) = self._rival_reader.read(data)
+        if name != self._name[0]:
+            self._rival_s, self._rival = time.monotonic(), name
+
+    def _stands_by(self, mode: str) -> bool:
+        """Whether another node commands: the first that does goes on, of two that begin together the lower number."""
+        if mode not in OPEN or time.monotonic() - self._rival_s > HOLD_SAMPLES * self._period_s:
+            return False
+        return mode != "starting" or not self._rival > self._name[0]
+
+    def _on_source(self, data: bytes) -> None:
+        stamp_ns, values = self._source_reader.read(data)
+        order = self._order.judge(stamp_ns)
+        if order == "repeat":
+            if self._answer and not self._wall and self._table.flag("enabled"):
+                self._publisher.publish(self._answer)
+            return
+        if order == "late":
+            self._diagnostics.count("late", f"samples on {self._source} came late and were dropped")
+            return
+        if order == "restart":
+            self._diagnostics.report(
+                "stamps",
+                "warn",
+                f"the stamp on {self._source} jumped back: the loop starts anew",
+                stamp_ns=stamp_ns,
+            )
+            self._age = SampleAge()
+            self._restart()
+        self._age.hear(stamp_ns, time.monotonic())
+        self._waiting = (stamp_ns, values)
+        self._act()
+
+    def _act(self) -> None:
+        """Answer the waiting sample if its set-point is there."""
+        table = self._table
+        if self._waiting is None or not table["enabled"]:
+            return
+        stamp_ns, values = self._waiting
+        if self._reference is None:
+            if table["reference_hold"]:
+                self._miss(
+                    stamp_ns, f"no set-point on {REFERENCE} yet; start the reference node or publish one"
+                )
+            return
+        reference_ns, reference = self._reference
+        if reference_ns != stamp_ns and not table["reference_hold"]:
+            return
+        self._waiting = None
+        self._order.accept(stamp_ns)
+        now = time.monotonic()
+        age = self._age.age_s(stamp_ns, now) / self._period_s if self._wall else 0.0
+        if age > HOLD_SAMPLES:
+            self._diagnostics.count(
+                "stale", f"samples on {self._source} were older than {HOLD_SAMPLES} periods and not answered"
+            )
+            return
+        self._input_s = now
+        if table.revision != self._revision:
+            self._revision = table.revision
+            self._rebuild()
+        supervisor = self._supervisor
+        if supervisor is None or self._stop.active:
+            if supervisor is not None:
+                supervisor.stand_by()
+            self._publish(stamp_ns, SAFE_CURRENT_A)
+            return
+        if not math.isfinite(reference):
+            self._miss(stamp_ns, f"tip_deflection on {REFERENCE} is {reference}: send finite set-points")
+            return
+        if age > _LATE:
+            # a newer one is on its way: of what piled up only that may move the law, or an integrator would run ahead
+            self._miss(stamp_ns, f"samples on {self._source} come more than {_LATE:g} periods late")
+            return
+        supervisor.release(stamp_ns * 1e-9, followed=self._followed)
+        before = supervisor.mode
+        if self._wall and self._stands_by(before):
+            supervisor.stand_by()
+            self._diagnostics.report(
+                "input",
+                "warn",
+                f"another node commands on {COMMAND}: standing by until it is silent",
+                stamp_ns=stamp_ns,
+            )
+            return
+        if before != "starting" and before in OPEN:
+            self._echo.restart()
+        decision = self._decide(supervisor, stamp_ns, values, reference)
+        if isinstance(decision, str):
+            self._miss(stamp_ns, decision)
+            return
+        self._tell(before, decision, stamp_ns)
+        self._publish(stamp_ns, decision.current_a)
+
+    def _tell(self, before: str, decision: Decision, stamp_ns: int) -> None:
+        """Report what has changed with a sample."""
+        report, level = self._diagnostics.report, self._diagnostics.level
+        if decision.mode == "starting":
+            report("input", "warn", decision.reason, stamp_ns=stamp_ns)
+        elif before in OPEN or level("input") != "ok":
+            report("input", "ok", "input is there, the loop is closed", stamp_ns=stamp_ns)
+        if decision.mode == "limited":
+            report("reference", "warn", decision.reason, stamp_ns=stamp_ns)
+        elif level("reference") != "ok":
+            report("reference", "ok", "reference is reachable again", stamp_ns=stamp_ns)
+
+    def _miss(self, stamp_ns: int, why: str) -> None:
+        """Answer a sample that cannot be used or that did not come."""
+        self._waiting = None
+        if self._supervisor is None:
+            self._publish(stamp_ns, SAFE_CURRENT_A)
+            return
+        decision = self._supervisor.lost(stamp_ns * 1e-9, why)
+        level = "error" if decision.mode == "safe" else "warn"
+        self._diagnostics.report("input", level, decision.reason, stamp_ns=stamp_ns)
+        self._publish(stamp_ns, decision.current_a)
+
+    def _publish(self, stamp_ns: int, current_a: float) -> None:
+        """Command a current, whatever the law says within what the device bears."""
+        current = min(max(current_a, self._point.least_a), self._point.most_a)
+        if self._stop.active:
+            current = SAFE_CURRENT_A
+        self._answer = self._writer.write(stamp_ns, (current, *self._name))
+        self._publisher.publish(self._answer)
+        self._echo.command(stamp_ns, current)
+
+    def _on_tick(self) -> None:
+        """Wall time: a period without an answered sample is a missed input."""
+        if self._order.last_ns is None or not self._table.flag("enabled"):
+            return
+        if self._supervisor is not None and self._stands_by(self._supervisor.mode):
+            return
+        # the clock here and the arrival of samples drift against each other: a period without input is no gap yet
+        now = time.monotonic()
+        if now - self._input_s > _LATE * self._period_s:
+            # so that the next tick, early or late, tells the next missing sample
+            self._input_s = now - 0.75 * self._period_s
+            missing = self._source if self._waiting is None else REFERENCE
+            self._miss(self._present_ns(), f"nothing on {missing}: is its node running?")
+
+    def _present_ns(self) -> int:
+        """Return the stamp [ns] of the sample that should have come last."""
+        last_ns = self._order.last_ns or 0
+        passed_s = self._age.stamp_s(time.monotonic()) - 1e-9 * last_ns
+        return last_ns + round(1e9 * self._period_s) * max(1, int(passed_s / self._period_s))
+
+    def _judge(self, values: Mapping[str, Value]) -> None:
+        """Refuse parameters that the device does not bear."""
+        check_device_limits(self._table.text("preset"), self._period_s, values)

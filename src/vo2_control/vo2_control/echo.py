@@ -1,0 +1,72 @@
+"""Whether the plant does what it is told, from the current that comes back with its measurement."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from vo2_interface.lockstep import HOLD_SAMPLES
+
+__all__ = ["CommandEcho"]
+
+_AT_SAFE = 0.02
+"""Share of the device's current range within which a measured current is the safe one: noise and offset of its sensor."""
+_AWAY = 0.2
+"""Share beyond which a command is not the safe current, for any driver: a dead zone is narrower."""
+_SAME = 0.1
+"""Share of the step between two commands within which a measured current is one of them."""
+_STEP = 0.002
+"""Share of the current range below which a step of the command does not matter."""
+
+
+class CommandEcho:
+    """Compares commands with the measured current.
+
+    A plant that gets no commands goes to the safe current (the contract). So it does not listen when it stays there
+    though something else was commanded. Gains and lags of a driver do not matter.
+
+    Parameters
+    ----------
+    safe_a : safe current [A]
+    span_a : width of the range of currents that the device bears [A]
+
+    Attributes
+    ----------
+    followed : whether the plant follows the commands
+    behind : whether it still applies one of the commands before the last: that one came late, or was lost
+    """
+
+    def __init__(self, safe_a: float, span_a: float) -> None:
+        self._safe_a = safe_a
+        self._at_safe_a, self._away_a = _AT_SAFE * span_a, _AWAY * span_a
+        self._step_a = _STEP * span_a
+        self._sent: deque[tuple[int, float]] = deque(maxlen=2 * HOLD_SAMPLES)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was commanded: only what the plant does from now on counts."""
+        self.followed = self.behind = False
+        self._deaf = 0
+        self._sent.clear()
+
+    def command(self, stamp_ns: int, current_a: float) -> None:
+        """Note a command."""
+        self._sent.append((stamp_ns, current_a))
+
+    def measure(self, stamp_ns: int, current_a: float) -> None:
+        """Note a measured current [A]; NaN, not measured, counts as followed."""
+        told = [current for at_ns, current in self._sent if at_ns < stamp_ns][-HOLD_SAMPLES:]
+        if not told:
+            return
+        steps = [earlier - told[-1] for earlier in told[:-1]]
+        self.behind = any(
+            abs(step) > self._step_a and abs(current_a - told[-1] - step) <= _SAME * abs(step)
+            for step in steps
+        )
+        away = min(abs(current - self._safe_a) for current in told) > self._away_a
+        if away and abs(current_a - self._safe_a) <= self._at_safe_a:
+            self._deaf += 1
+        else:
+            self._deaf = 0
+            self.followed = True
+        if self._deaf > HOLD_SAMPLES:
+            self.followed = False
