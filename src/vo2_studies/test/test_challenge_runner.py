@@ -251,6 +251,16 @@ def test_command_scores_and_continues(runner, monkeypatch, tmp_path, capsys):
     assert "another excitation" in capsys.readouterr().err
 
 
+def test_quick_is_one_round_of_short_recordings(runner, monkeypatch, tmp_path):
+    folder = tmp_path / "out"
+    stand_in(monkeypatch, lambda **options: runner(fit="raise SystemExit(2)", **options))
+    monkeypatch.setattr(command, "ROUND", ("none",))  # all sixteen would take a minute to draw
+    assert command.main(["--quick", "--seed", "3", "--output", str(folder)]) == 0
+    assert load_json(folder / "challenge.json")["cases"] == 1
+    assert load_json(folder / "answers" / "0000.json")["samples"] == command.QUICK_SAMPLES
+    assert command.main(["--seed", "3", "--output", str(folder)]) == 2
+
+
 def test_failed_cases_are_tried_again_on_request(runner, monkeypatch, tmp_path):
     folder = tmp_path / "out"
     stand_in(monkeypatch, lambda **options: runner(fit="raise SystemExit(2)", **options))

@@ -19,7 +19,17 @@ from vo2_models.io import OutputFolder, write_whole
 from vo2_studies.challenge.conditions import CONDITIONS
 from vo2_studies.challenge.excitation import EXCITATIONS
 from vo2_studies.challenge.families import ALL, FAMILIES
-from vo2_studies.challenge.plan import CLEAN, INFORMATIVE, KINDS, PRESET, RANGE, VARIED, CasePlan, Choice
+from vo2_studies.challenge.plan import (
+    CLEAN,
+    INFORMATIVE,
+    KINDS,
+    PRESET,
+    RANGE,
+    ROUND,
+    VARIED,
+    CasePlan,
+    Choice,
+)
 from vo2_studies.challenge.runner import (
     CaseRunner,
     Paths,
@@ -33,6 +43,8 @@ from vo2_studies.challenge.runner import (
 __all__ = ["main"]
 
 _REPORTS = ("challenge.json", "challenge.html")
+QUICK_SAMPLES = 3000
+"""Of each recording to be diagnosed with --quick."""
 _INTERRUPTED = "interrupted; finished cases are kept, the same command continues"
 
 
@@ -42,8 +54,11 @@ def _parser() -> argparse.ArgumentParser:
         description="Proof on concealed data: random devices and effects, recorded by an independent simulation, "
         "diagnosed by separate processes that get only the bags, then scored.",
     )
+    parser.add_argument("--cases", type=int, help="number of cases; a longer run continues a shorter")
     parser.add_argument(
-        "--cases", type=int, required=True, help="number of cases; a longer run continues a shorter"
+        "--quick",
+        action="store_true",
+        help=f"one round of all kinds, {len(ROUND)} cases of {QUICK_SAMPLES} samples: minutes, for continuous integration",
     )
     parser.add_argument("--seed", type=int, required=True, help="decides devices, effects and noise")
     parser.add_argument("--output", type=Path, required=True, help="folder; finished cases in it are kept")
@@ -147,6 +162,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
     try:
+        if arguments.quick:
+            arguments.cases = arguments.cases or len(ROUND)
+            arguments.samples = arguments.samples or str(QUICK_SAMPLES)
+        if arguments.cases is None:
+            raise ValueError("cases: found none, need --cases N or --quick")
         if arguments.cases < 1 or arguments.jobs < 1 or arguments.seed < 0:
             raise ValueError(
                 "cases, jobs, seed: found a number too small, need cases and jobs >= 1, seed >= 0"

@@ -20,7 +20,7 @@ from vo2_studies.challenge.devices import PRESETS
 from vo2_studies.challenge.excitation import EXCITATIONS
 from vo2_studies.challenge.families import ALL, chosen_families
 
-__all__ = ["KINDS", "CasePlan", "Choice", "plan_case"]
+__all__ = ["KINDS", "ROUND", "CasePlan", "Choice", "plan_case"]
 
 KINDS = ("none", "day", "moved", "one", "always", "beside", "two", "outside")
 """Unchanged, unchanged on another day, a constant moved, an effect since the calibration, an effect that was there all
