@@ -53,6 +53,14 @@ class Design:
 def make_design(task: Task) -> Design:
     """Design the law and, where there is a model, its inverse.
 
+    Parameters
+    ----------
+    task : what to design for
+
+    Returns
+    -------
+    Design : the law, and the inverse if asked for
+
     Raises
     ------
     ValueError : no law for these parameters; that the model has no inverse is told in `without`.

@@ -169,6 +169,11 @@ def discrete_law(controller: control.StateSpace, sample_period_s: float) -> Line
 
     Modes faster than ten times the Nyquist frequency are replaced by their static gain first: Tustin's rule would
     turn the pole at -40830 of (8.10) into one at -0.999, an alternation that hardly decays.
+
+    Parameters
+    ----------
+    controller : K(s) [A/um]
+    sample_period_s : [s]
     """
     period = positive_number(sample_period_s, "sample_period_s")
     slow = _residualise_fast(control.ss(controller), 10 * np.pi / period)

@@ -247,6 +247,8 @@ def feedforward_from_model(
     response_s : None for two sample periods: fast, without demanding the limits at every reversal
     rate_k_per_s : see `InverseFeedforward`
     limits : None for the preset's current range
+    parameters : flat `model.*` parameters
+    sample_period_s : [s]
 
     Raises
     ------

@@ -143,6 +143,10 @@ def generalised_plant(design: RobustDesign) -> control.StateSpace:
 
     >>> generalised_plant(RobustDesign()).nstates
     7
+
+    Parameters
+    ----------
+    design : plant, uncertainty and weights
     """
     # a second to load, and every controller node declares the parameters of this module
     import control

@@ -82,6 +82,11 @@ def covering_weight(nominal: ThermalLag, plants: Sequence[ThermalLag]) -> LeadLa
 
     Of the first-order weights that cover all, the one of least mean logarithm.
 
+    Parameters
+    ----------
+    plants : to cover
+    nominal : G
+
     Raises
     ------
     ValueError : no plants, or a plant of the other sign, which no weight below 1 covers.
@@ -112,7 +117,15 @@ def covering_weight(nominal: ThermalLag, plants: Sequence[ThermalLag]) -> LeadLa
 def integral_design(
     nominal: ThermalLag, uncertainty: LeadLag, *, bandwidth_rad_s: float, effort: float, noise: float = 0.005
 ) -> RobustDesign:
-    """Return the design: integral performance weight of the given bandwidth [rad/s], effort weight [um/A]."""
+    """Return the design: integral performance weight of the given bandwidth [rad/s], effort weight [um/A].
+
+    Parameters
+    ----------
+    nominal : plant of the design
+    uncertainty : weight W_m
+    bandwidth_rad_s : [rad/s]
+    noise : weight of the measurement noise
+    """
     return RobustDesign(
         current_gain_k_per_a=math.copysign(50.0, nominal.gain),
         time_constant_s=nominal.time_constant_s,
@@ -146,6 +159,9 @@ def integral_laws(
     nominal : plant of the synthesis, for instance `central_plant(plants)`
     plants : identified ones, which the uncertainty must cover and the sampled loop must hold
     max_sensitivity : limit of Ms and Mt; `worst` of each law are the margins where they are worst
+    sample_period_s : [s]
+    expected_sign : sign of the plant's gain
+    progress : called with the share done, 0 to 1
 
     Raises
     ------
@@ -187,7 +203,17 @@ def tuned_integral_law(
     expected_sign: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> RobustLaw:
-    """Return the law of least cost among `integral_laws`, which see for parameters and errors."""
+    """Return the law of least cost among `integral_laws`, which see for parameters and errors.
+
+    Parameters
+    ----------
+    nominal : plant of the design
+    plants : all of which must keep the limit
+    sample_period_s : [s]
+    max_sensitivity : limit of Ms and Mt
+    expected_sign : sign of the plant's gain
+    progress : called with the share done, 0 to 1
+    """
     laws = integral_laws(
         nominal,
         plants,

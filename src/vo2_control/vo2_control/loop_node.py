@@ -24,7 +24,16 @@ _OPTIONS = ("--with-reference", "--without-plant")
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the composed nodes until SIGINT or SIGTERM."""
+    """Run the composed nodes until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    args : command line, None for that of the process
+
+    Returns
+    -------
+    int : exit status
+    """
     line = list(sys.argv if args is None else args)
     try:
         options = beside_ros_arguments(line)

@@ -24,12 +24,26 @@ _SETTLE = 20.0
 
 
 def law_coordinate(device: str) -> Coordinate:
-    """The coordinate in which the preset's steady temperature is linear: heating power for a Joule heater."""
+    """The coordinate in which the preset's steady temperature is linear: heating power for a Joule heater.
+
+    Parameters
+    ----------
+    device : preset, or path of a device file
+
+    Returns
+    -------
+    Coordinate : `current` or `heating_power`
+    """
     return "heating_power" if preset(device).square_gain else "current"
 
 
 def loop_slopes(simulation: Simulation) -> LocalSlopes:
-    """Return the slopes of deflection over the law's coordinate along a quasi-static major and three minor loops."""
+    """Return the slopes of deflection over the law's coordinate along a quasi-static major and three minor loops.
+
+    Parameters
+    ----------
+    simulation : of the fitted model
+    """
     nominal = preset(simulation.device)
     coordinate = law_coordinate(simulation.device)
     power = 2 if coordinate == "heating_power" else 1
@@ -50,6 +64,12 @@ def tracking_cost(
     The reference crosses the loop in both directions, as the experiments do: two unequal sinusoids around half the
     deflection range, one ten times as fast as the other, and three steps. The fast period is 4 time constants where
     the lag is slow against the sampling, else 56: 100 s and 0.1 s on the two presets.
+
+    Parameters
+    ----------
+    simulation : of the fitted model
+    limits : of the current [A]
+    sample_period_s : [s]
     """
     nominal = preset(simulation.device)
     slow = nominal.time_constant / sample_period_s > 20
@@ -102,6 +122,12 @@ def tuned_from_model(
     """Return PI (or PID) gains for the model in flat `model.*` parameters: least `tracking_cost` within the margins.
 
     Takes about 2 s for a PI and 5 s for a PID. `limits` : of the current, None for the preset's.
+
+    Parameters
+    ----------
+    sample_period_s : [s]
+    derivative : whether to tune a derivative part too
+    max_sensitivity : limit of Ms and Mt on all slopes of the loops
 
     Raises
     ------

@@ -44,6 +44,12 @@ def closed_loop_response(
     """Return M = F_l(P, K) (m, outputs - 1, inputs - 1), pointwise from the two responses.
 
     Pointwise, and not from the closed loop's matrices, so that it checks those.
+
+    Parameters
+    ----------
+    plant : P(s)
+    controller : K(s)
+    frequency_rad_s : (m,) [rad/s]
     """
     p = np.moveaxis(plant.frequency_response(frequency_rad_s, squeeze=False).frdata, 2, 0)
     k = controller.frequency_response(frequency_rad_s, squeeze=False).frdata[0, 0]

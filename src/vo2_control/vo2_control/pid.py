@@ -89,6 +89,11 @@ def pid_law(gains: PidGains, sample_period_s: float) -> LinearLaw:
 
     >>> pid_law(PidGains(kp=100.0, ki=5.0), 0.001).order
     2
+
+    Parameters
+    ----------
+    gains : in the law's coordinate
+    sample_period_s : [s]
     """
     period = positive_number(sample_period_s, "sample_period_s")
     blend = gains.derivative_filter_s / (gains.derivative_filter_s + period)

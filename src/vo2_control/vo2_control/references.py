@@ -143,6 +143,14 @@ def reference_signal(preset: str, signal: str) -> ReferenceSignal:
 def read_table(path: str | Path) -> Table:
     """Read a CSV with the header `time_s,tip_deflection` (s, m), any further columns left out.
 
+    Parameters
+    ----------
+    path : of the file
+
+    Returns
+    -------
+    Table : times [s] and deflections [m]
+
     Raises
     ------
     ValueError : unreadable, without these columns, or with a row that is not numeric; the message names the place.

@@ -106,7 +106,17 @@ class Margins:
 
 
 def closed_loop_radius(law: LinearLaw, plant: SampledPlant) -> float:
-    """Largest magnitude of a pole of the sampled feedback loop; below 1 is stable."""
+    """Largest magnitude of a pole of the sampled feedback loop; below 1 is stable.
+
+    Parameters
+    ----------
+    law : of the controller
+    plant : at the same sample period
+
+    Returns
+    -------
+    float : of the largest pole
+    """
     closed = np.block(
         [
             [plant.a + np.outer(plant.b, law.d[1] * plant.c), np.outer(plant.b, law.c)],

@@ -70,6 +70,11 @@ def sensor_limits(
 ) -> SensorLimits:
     """Return the limits for a preset and flat `model.*` parameters; a bound of 0 is the preset's.
 
+    Parameters
+    ----------
+    device : preset, or path of a device file
+    lower_ohm, upper_ohm : bounds [ohm], 0 for those of the device
+
     Raises
     ------
     ValueError : bounds in the wrong order.

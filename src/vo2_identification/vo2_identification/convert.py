@@ -24,7 +24,12 @@ one /vo2/measurement message per row, in ampere, ohm, metre and degree Celsius.
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0, 2 on bad input."""
+    """Run the command; return its exit status: 0, 2 on bad input.
+
+    Parameters
+    ----------
+    args : command line, None for that of the process
+    """
     options = _parser().parse_args(args)
     if options.list:
         for name, path in shipped_maps().items():

@@ -76,7 +76,12 @@ class DiagnosisJob:
 
 
 def summary_values(answer: Diagnosis) -> dict[str, str]:
-    """Return key -> value for a diagnostic status: verdict, effects with probability, parameters, gain."""
+    """Return key -> value for a diagnostic status: verdict, effects with probability, parameters, gain.
+
+    Parameters
+    ----------
+    answer : a diagnosis
+    """
     values = {"verdict": answer.verdict, "effects": ", ".join(each.id for each in answer.effects)}
     for each in answer.effects:
         name = f"{each.id}:{each.signal}" if each.signal else each.id

@@ -73,7 +73,15 @@ _SPREADS = 2.0
 def informative_excitation(
     preset_id: str, duration_s: float, sample_period_s: float, *, seed: int
 ) -> Excitation:
-    """Return a recording on which every known effect leaves a mark, across the transition of a preset [A]."""
+    """Return a recording on which every known effect leaves a mark, across the transition of a preset [A].
+
+    Parameters
+    ----------
+    preset_id : preset, or path of a device file
+    duration_s : about how long [s]
+    sample_period_s : [s]
+    seed : of the random levels
+    """
     device, point = preset(preset_id), operating_point(preset_id)
     (mean, spread), (width, _) = device.heating, device.width
     transition = surrogate_of_temperature(
@@ -91,6 +99,12 @@ def informative_excitation(
 
 def excitation_currents(preset_id: str, sample_period_s: float, table: ParameterTable) -> NDArray[np.float64]:
     """Return the current [A] of every sample (n,); empty for kind `listen`.
+
+    Parameters
+    ----------
+    preset_id : preset, or path of a device file
+    sample_period_s : [s]
+    table : parameters of the node
 
     Raises
     ------

@@ -32,7 +32,12 @@ _UNITS = {
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0, 2 on bad input, 130 after Ctrl-C."""
+    """Run the command; return its exit status: 0, 2 on bad input, 130 after Ctrl-C.
+
+    Parameters
+    ----------
+    args : command line, None for that of the process
+    """
     options = _parser().parse_args(args)
     try:
         return _run(options)

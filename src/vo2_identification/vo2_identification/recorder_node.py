@@ -29,7 +29,12 @@ _MOST_WAITING = 1000
 
 
 def contract_topics(namespace: str) -> dict[str, str]:
-    """Return the topics of a loop and their types: samples, diagnostics and clock."""
+    """Return the topics of a loop and their types: samples, diagnostics and clock.
+
+    Parameters
+    ----------
+    namespace : of the loop, such as /vo2
+    """
     roles = ("command", "measurement", "estimate", "reference")
     samples = {f"{namespace.rstrip('/')}/{role}": JOINT_STATE for role in roles}
     return {**samples, "/diagnostics": _DIAGNOSTICS, "/clock": _CLOCK}

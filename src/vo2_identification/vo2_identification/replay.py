@@ -33,7 +33,12 @@ _NS = 1_000_000_000
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0, 2 on bad input."""
+    """Run the command; return its exit status: 0, 2 on bad input.
+
+    Parameters
+    ----------
+    args : command line, None for that of the process
+    """
     options, ros_args = _parser().parse_known_args(args)
     if "--ros-args" not in ros_args and ros_args:
         return _refuse(f"{ros_args[0]}: no such option; see --help")

@@ -108,6 +108,10 @@ def fastest_executor(context: rclpy.Context | None = None) -> Executor:
 
     The events executor is stepped with `spin_once` only: its `spin` was seen to hang in relay
     processes with rclpy 7.1.6.
+
+    Parameters
+    ----------
+    context : of the nodes, None for the default one
     """
     try:
         from rclpy.experimental import EventsExecutor
@@ -125,6 +129,12 @@ def leave_graph(
     standard error. Fast DDS 2.14, seen once in some hundred processes that ended together: to destroy a participant it
     spins, with Python's lock, until a discovery callback is over, and the callback waits for a mutex that the spinning
     never leaves long enough.
+
+    Parameters
+    ----------
+    executor : to shut down, if there is one
+    nodes : to destroy
+    context : to shut down
     """
     faulthandler.dump_traceback_later(_LEAVE_S, exit=True, file=sys.__stderr__ or 2)
     try:
@@ -142,6 +152,11 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
     """Compose nodes in one executor, spin until SIGINT or SIGTERM, close them; return the exit status.
 
     A parameter or argument that cannot be used ends with one line on standard error and status 2.
+
+    Parameters
+    ----------
+    make_nodes : called one after the other once rclpy runs
+    args : command line, None for that of the process
     """
     program = sys.argv[0].rsplit("/", 1)[-1]
     try:

@@ -119,7 +119,12 @@ class Bench:
 
 @contextmanager
 def bench(arguments: Sequence[str] = ()) -> Iterator[Bench]:
-    """Give a bench on a domain of its own; `arguments` are ROS arguments for all nodes of the process."""
+    """Give a bench on a domain of its own; `arguments` are ROS arguments for all nodes of the process.
+
+    Yields
+    ------
+    Bench : closed at the end of the `with`
+    """
     before = dict(os.environ)
     os.environ.update(one_host_environment(free_domain()))
     join_graph(["test", *arguments])

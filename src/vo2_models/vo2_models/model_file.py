@@ -52,6 +52,14 @@ def save_model_parameters(path: str | Path, parameters: Mapping[str, Value], *, 
 def load_model_parameters(path: str | Path) -> dict[str, Value]:
     """Read the flat `model.*` parameters of a file that `save_model_parameters` or a node wrote.
 
+    Parameters
+    ----------
+    path : of the file
+
+    Returns
+    -------
+    dict : name -> number, text or flat list
+
     Raises
     ------
     ValueError : not a ROS parameter file, no `model.*` in it, or one that is neither finite numbers nor a text; the

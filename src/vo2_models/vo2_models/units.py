@@ -97,7 +97,16 @@ def unit_named(name: str, quantity: str) -> Unit | None:
 
 
 def fitting_units(name: str, quantity: str) -> str:
-    """Say which units there are, beginning with what a misspelt name may have meant."""
+    """Say which units there are, beginning with what a misspelt name may have meant.
+
+    Parameters
+    ----------
+    quantity : physical quantity, such as length
+
+    Returns
+    -------
+    the sentence for an error message
+    """
     there = [one for one, unit in UNITS.items() if unit.quantity == quantity]
     lower = {one.lower(): one for one in there}
     meant = get_close_matches(_plain(name).lower(), lower, n=1, cutoff=0.6)

@@ -52,7 +52,12 @@ def finite_array(
 
 
 def increasing(array: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-    """Return `array` (n,) if strictly increasing, else raise a `ValueError` with the place."""
+    """Return `array` (n,) if strictly increasing, else raise a `ValueError` with the place.
+
+    Parameters
+    ----------
+    name : what the array is called in the message
+    """
     steps = np.diff(array)
     if np.any(steps <= 0):
         k = int(np.flatnonzero(steps <= 0)[0])
@@ -63,7 +68,12 @@ def increasing(array: NDArray[np.float64], name: str) -> NDArray[np.float64]:
 
 
 def nonnegative(array: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-    """Return `array` if no element is negative, else raise a `ValueError` with the place."""
+    """Return `array` if no element is negative, else raise a `ValueError` with the place.
+
+    Parameters
+    ----------
+    name : what the array is called in the message
+    """
     if np.any(array < 0):
         k = int(np.flatnonzero(array.ravel() < 0)[0])
         raise ValueError(f"{name}: found {array.ravel()[k]:g} at index {k}, need values >= 0")
@@ -71,7 +81,12 @@ def nonnegative(array: NDArray[np.float64], name: str) -> NDArray[np.float64]:
 
 
 def positive_number(value: float, name: str) -> float:
-    """Return `value` as a float if finite and above zero, else raise a `ValueError`."""
+    """Return `value` as a float if finite and above zero, else raise a `ValueError`.
+
+    Parameters
+    ----------
+    name : what the value is called in the message
+    """
     number = float(value)
     if not np.isfinite(number) or number <= 0:
         raise ValueError(f"{name}: found {value!r}, need a finite number above 0")

@@ -59,6 +59,10 @@ def expand(data: bytes, compression: str) -> tuple[bytes, str]:
 def expand_pieces(parts: Iterable[bytes], compression: str, most: int) -> Iterator[bytes]:
     """Yield decompressed pieces of at most a megabyte, at most `most` bytes in all.
 
+    Parameters
+    ----------
+    parts : compressed pieces, in order
+
     Raises
     ------
     EOFError : the data is damaged, cut short, or stands for more than `most` bytes; all before that was yielded.

@@ -35,6 +35,11 @@ def scan_mcap(
 
     What is wrong is appended to `problems`. A record of more than 256 MB is left out.
 
+    Parameters
+    ----------
+    path : of the storage file
+    problems : list that is appended to
+
     Raises
     ------
     BagError : not an MCAP file, or not one with ROS 2 messages.

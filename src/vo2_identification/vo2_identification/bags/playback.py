@@ -128,6 +128,7 @@ def schedule(
     duration_s : length to play [s], None for all
     passes : number of passes, None for no end. A later pass has its stamps moved on by the length of the bag.
     latched : topics whose last message before the offset is published at the start
+    path : of the bag
 
     Raises
     ------

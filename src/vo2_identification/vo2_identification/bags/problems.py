@@ -53,7 +53,13 @@ class Problem:
 
 
 def limited(found: Iterable[Problem], most: int = 20) -> list[Problem]:
-    """Return the first `most` problems and, if there are more, one that counts the rest."""
+    """Return the first `most` problems and, if there are more, one that counts the rest.
+
+    Parameters
+    ----------
+    found : problems, any number
+    most : how many are kept
+    """
     every = list(found)
     if len(every) <= most:
         return every
@@ -65,6 +71,11 @@ def in_few_lines(found: Iterable[Problem], most: int = 5) -> list[Problem]:
     """Return at most `most` problems of each kind and topic and, in place of the others, how many there are.
 
     For people: a terminal full of alike lines hides the one that matters.
+
+    Parameters
+    ----------
+    found : problems, any number
+    most : how many of a kind are kept
     """
     lines: list[Problem] = []
     shown: dict[tuple[str, str], int] = {}

@@ -12,7 +12,12 @@ _INFINITE = QosTime(9223372036, 854775807)  # RMW_DURATION_INFINITE
 
 
 def contract_qos(topic: str) -> Qos:
-    """Return reliable, keep last 100, volatile; transient local for a reference."""
+    """Return reliable, keep last 100, volatile; transient local for a reference.
+
+    Parameters
+    ----------
+    topic : name
+    """
     latched = topic.rsplit("/", 1)[-1] == "reference"
     return Qos(
         history=QosHistory.KEEP_LAST,
@@ -28,10 +33,20 @@ def contract_qos(topic: str) -> Qos:
 
 
 def profiles(qos: Qos) -> list[dict[str, object]]:
-    """Return `offered_qos_profiles` as metadata.yaml of version 9 holds it."""
+    """Return `offered_qos_profiles` as metadata.yaml of version 9 holds it.
+
+    Parameters
+    ----------
+    qos : of one publisher
+    """
     return [dict(profile) for profile in dump_qos_v9([qos])]
 
 
 def profiles_text(qos: Qos) -> str:
-    """Return `offered_qos_profiles` as the storage files hold it: the same as YAML text."""
+    """Return `offered_qos_profiles` as the storage files hold it: the same as YAML text.
+
+    Parameters
+    ----------
+    qos : of one publisher
+    """
     return str(yaml.safe_dump(profiles(qos), sort_keys=False)).strip()

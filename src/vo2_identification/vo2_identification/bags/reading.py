@@ -134,6 +134,10 @@ def commanded_current(
 
     A command carries the stamp of the sample that it answers and holds from there on: the interval that ends
     at t_k is governed by the last command with a stamp before t_k. NaN where none has come yet.
+
+    Parameters
+    ----------
+    command_time_s : (m,) stamps of the commands [s]
     """
     last = np.searchsorted(command_time_s, time_s, side="left") - 1
     return np.where(last >= 0, command[np.maximum(last, 0)], np.nan)

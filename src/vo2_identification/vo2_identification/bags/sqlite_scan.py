@@ -26,6 +26,11 @@ def scan_sqlite(
 
     What is wrong is appended to `problems`. A message of more than 256 MB is not read, nor what comes after it.
 
+    Parameters
+    ----------
+    path : of the storage file
+    problems : list that is appended to
+
     Raises
     ------
     BagError : not an sqlite3 file, or one without the tables of rosbag2.

@@ -22,6 +22,10 @@ def increasing_samples(topic: str, samples: Samples) -> tuple[NDArray[np.int64],
     An exact repeat of the previous sample (a plant in lockstep repeats itself until it is answered) is left out
     silently. A few stray stamps are left out one by one, as few as possible. More than 2 per cent mean that the
     clock was set back: then the longest stretch in order is kept, since hysteresis forbids mixing two runs.
+
+    Parameters
+    ----------
+    topic : for the messages
     """
     stamp = samples.stamp_ns
     kept = np.flatnonzero(~_repeats(samples))
@@ -65,6 +69,7 @@ def find_gaps(topic: str, stamp_ns: NDArray[np.int64], index: NDArray[np.int64])
     ----------
     stamp_ns : (n,) increasing stamps [ns]
     index : (n,) their places in the topic
+    topic : for the messages
     """
     if stamp_ns.size < 3:
         return []

@@ -73,6 +73,11 @@ def raw_messages(
 def storage_files(path: Path, problems: list[Problem]) -> list[Path]:
     """Return the storage files of a bag in the order they were written.
 
+    Parameters
+    ----------
+    path : of the bag
+    problems : list that is appended to
+
     Raises
     ------
     BagError : nothing there, or no storage file in it.

@@ -302,6 +302,10 @@ def _commands(measurement: Recording) -> Recording:
 def message_definition(msgtype: str) -> tuple[str, str]:
     """Return the text of the message definition and its RIHS01 hash.
 
+    Parameters
+    ----------
+    msgtype : such as sensor_msgs/msg/JointState
+
     Raises
     ------
     BagError : a type that the common interfaces of ROS 2 Jazzy do not have.

@@ -114,6 +114,10 @@ _DELIMITERS = {"tab": "\t", "comma": ",", "semicolon": ";"}
 def read_map(path: Path) -> ColumnMap:
     """Return the map of a YAML file.
 
+    Parameters
+    ----------
+    path : of the map
+
     Raises
     ------
     MapError : not readable, a key that is not known, a value that does not fit, a unit that is not the channel's.

@@ -38,6 +38,11 @@ class Converted:
 def files_of(source: Path, column_map: ColumnMap) -> list[Path]:
     """Return the file, or the files of a folder that the map's pattern fits.
 
+    Parameters
+    ----------
+    source : file or folder
+    column_map : its pattern
+
     Raises
     ------
     MapError : nothing there.
@@ -60,6 +65,8 @@ def convert_file(path: Path, column_map: ColumnMap, *, only: str | None = None) 
     Parameters
     ----------
     only : name of the one series wanted
+    path : of the table
+    column_map : which column is which channel
 
     Raises
     ------

@@ -90,6 +90,11 @@ class Table:
 def read_table(path: Path, column_map: ColumnMap) -> Table:
     """Return the header and the sample rows of a file; rows without any cell are left out.
 
+    Parameters
+    ----------
+    path : of the file
+    column_map : where in it the samples are
+
     Raises
     ------
     MapError : not readable, not in the map's encoding, no such sheet, no such rows.

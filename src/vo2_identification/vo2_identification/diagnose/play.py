@@ -49,6 +49,10 @@ _END_S = 1.0
 def playable_levels(excitation: Mapping[str, Any], device: str) -> list[float]:
     """Return the levels [A] of a proposed experiment, from the coldest operating current on, as it was designed.
 
+    Parameters
+    ----------
+    excitation : of a proposed experiment, as `diagnosis.json` holds it
+
     Raises
     ------
     ValueError : not a sequence of levels, or one outside the currents that the device allows.

@@ -117,6 +117,14 @@ def group_loss(radii: ArrayLike, weights: ArrayLike) -> float:
 
     >>> bool(group_loss([0.0, 1.0], [1.0, 1.0]) == 2 * (2 * 0.25**2) ** 0.5 * np.log(2))
     True
+
+    Parameters
+    ----------
+    radii, weights : (n,) of the plays, by radius
+
+    Returns
+    -------
+    float : 0 or more
     """
     r, p = finite_array(radii, "radii"), nonnegative(finite_array(weights, "weights"), "weights")
     total = float(np.sum(p))
@@ -182,6 +190,15 @@ def scaling(model: PlayModel, radii: ArrayLike, input_range: tuple[float, float]
     """Half the output range of plays of these radii, (gamma_R(v_max) - gamma_L(v_min) - 2 r) / 2, (3.11).
 
     Not below zero: a play whose radius exceeds what the envelopes span never moves.
+
+    Parameters
+    ----------
+    model : its envelopes
+    input_range : lowest and highest input
+
+    Returns
+    -------
+    array : (n,) one per play
     """
     low, high = finite_array(input_range, "input_range", size=2)
     if not low < high:

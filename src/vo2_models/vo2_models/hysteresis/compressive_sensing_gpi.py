@@ -61,6 +61,10 @@ def identify_play_weights(
     noise : bound on the error of each measurement [output unit]
     state : (1 + N,) memory before the first input; None for lower saturation
 
+    Returns
+    -------
+    SparseWeights : the model with its weights, their cosine coefficients and the l1 norm of these
+
     Raises
     ------
     ValueError : values not finite, indices repeated or out of range, or measurements that no weights explain

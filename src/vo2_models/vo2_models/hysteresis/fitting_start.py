@@ -21,6 +21,16 @@ def branch_moments(z: FloatArray, y: FloatArray, rising: bool) -> tuple[float, f
 
     The slope is the output change per input travel in 60 bins, less its lower quartile (a memoryless background),
     and noise cancels within a bin because changes are summed with their signs.
+
+    Parameters
+    ----------
+    z : (n,) inputs on [-1, 1]
+    y : (n,) outputs
+    rising : which branch
+
+    Returns
+    -------
+    tuple : centre and standard deviation
     """
     dz, dy = np.diff(z), np.diff(y)
     chosen = dz > 0 if rising else dz < 0
@@ -49,6 +59,15 @@ def starting_arguments(z: FloatArray, y: FloatArray) -> list[FloatArray]:
     A tanh whose slope has standard deviation d has s = pi / (2 sqrt 3 d). Plays of large radius widen the
     branch beyond their envelopes and move their switching apart, so steeper and closer envelopes are
     tried too, and flat ones for a loop that does not saturate.
+
+    Parameters
+    ----------
+    z : (n,) inputs on [-1, 1]
+    y : (n,) outputs
+
+    Returns
+    -------
+    list : of arrays (4, 1)
     """
     (rise, rise_width), (fall, fall_width) = branch_moments(z, y, True), branch_moments(z, y, False)
     candidates = []

@@ -34,6 +34,16 @@ def uncertainties(
 
     Memoryless coefficients are those of the normalised input's columns, in output units; their nonlinear
     parameters are those of the normalised input.
+
+    Parameters
+    ----------
+    projection : the fit
+    x : (n,) inputs
+    input_map, output_map : offset and scale from the record's units to the fit's
+
+    Returns
+    -------
+    tuple : names, values (p,) and covariance (p, p)
     """
     (centre, half), (offset, scale) = input_map, output_map
     parameters = projection.parameters

@@ -41,6 +41,15 @@ class ConvergenceCondition(NamedTuple):
 def convergence_condition(model: PlayModel, input_range: tuple[float, float]) -> ConvergenceCondition:
     """Evaluate (6.4), in its corrected form with |dD/dv|, on 4001 inputs of the range.
 
+    Parameters
+    ----------
+    model : to be inverted
+    input_range : lowest and highest input
+
+    Returns
+    -------
+    ConvergenceCondition : both sides of (6.4), and the contraction
+
     Examples
     --------
     >>> from vo2_models.hysteresis import EGPI, Cosine

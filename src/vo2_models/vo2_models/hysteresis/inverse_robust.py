@@ -46,7 +46,17 @@ class InversionBatch(NamedTuple):
 
 
 def output_range(model: PlayModel, low: float, high: float) -> float:
-    """Width of the outputs on the major loop between two inputs (200 inputs a branch) [output unit]."""
+    """Width of the outputs on the major loop between two inputs (200 inputs a branch) [output unit].
+
+    Parameters
+    ----------
+    model : whose outputs
+    low, high : inputs
+
+    Returns
+    -------
+    float : [output unit]
+    """
     path = np.concatenate([np.linspace(low, high, 200), np.linspace(high, low, 200)])
     state = model.initial_state("upper", v=low)
     output, _ = type(model).simulate(model, path, state)
@@ -54,7 +64,17 @@ def output_range(model: PlayModel, low: float, high: float) -> float:
 
 
 def is_monotone(model: PlayModel, low: float, high: float) -> bool:
-    """True if no weight is negative and the memoryless part provably never falls on [low, high]."""
+    """True if no weight is negative and the memoryless part provably never falls on [low, high].
+
+    Parameters
+    ----------
+    model : to check
+    low, high : ends of the input
+
+    Returns
+    -------
+    bool : False where it cannot be proven
+    """
     if np.any(model.weights < 0):
         return False
     for kind, _, *numbers in model.memoryless.terms():

@@ -17,6 +17,10 @@ def shape_covariance(fit: BankFit) -> Floats:
     """Return the linearised covariance (p, p) of the fitting coordinates, for a residual that may be correlated.
 
     A ridge of one per mille of each parameter's own information stands for directions the data say nothing about.
+
+    Parameters
+    ----------
+    fit : of one channel
     """
     ok = np.isfinite(fit.residual)
     j = fit.jacobian[ok]
@@ -29,7 +33,12 @@ def shape_covariance(fit: BankFit) -> Floats:
 
 
 def bank_uncertainty(fit: BankFit) -> dict[str, tuple[float, ...]]:
-    """Return one standard deviation of each array of the fitted `PlayBank`, by the array's name."""
+    """Return one standard deviation of each array of the fitted `PlayBank`, by the array's name.
+
+    Parameters
+    ----------
+    fit : of one channel
+    """
     covariance = shape_covariance(fit)
     shape = fit.shape
     n = shape.centre.size

@@ -20,6 +20,7 @@ def completed(device: DeviceDescription, recordings: Sequence[Recording]) -> Dev
     Parameters
     ----------
     recordings : in roles
+    device : as its file tells
     """
     changes: Document = {"responses": {}}
     for response in device.responses:
@@ -42,6 +43,11 @@ def noise_of_recordings(recordings: Sequence[Recording], role: str) -> float:
     """Return one standard deviation of what changes from sample to sample where a response moves least.
 
     Relative for the film response, else in the channel's unit; 0 where there are too few samples to tell.
+
+    Parameters
+    ----------
+    recordings : in roles
+    role : of the response
     """
     levels = []
     for recording in recordings:
@@ -57,5 +63,11 @@ def noise_of_recordings(recordings: Sequence[Recording], role: str) -> float:
 
 
 def significant(value: float, digits: int = 4) -> float:
-    """Return a number as one would write it into a file."""
+    """Return a number as one would write it into a file.
+
+    Parameters
+    ----------
+    value : any number
+    digits : that are kept
+    """
     return float(f"{value:.{digits}g}")

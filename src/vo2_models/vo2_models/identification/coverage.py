@@ -38,7 +38,13 @@ class Coverage:
 
 
 def coverage_of(grids: Sequence[GriddedRecording], device: DeviceDescription) -> Coverage:
-    """Return what the recordings could not determine: other amplitudes, other rates, a branch."""
+    """Return what the recordings could not determine: other amplitudes, other rates, a branch.
+
+    Parameters
+    ----------
+    grids : recordings in roles
+    device : completed description
+    """
     span = float(np.ptp(np.concatenate([grid.current for grid in grids])))
     sizes, rates, ways = [], [], set()
     for grid in grids:
@@ -82,6 +88,9 @@ def misfit_note(
     ----------
     residual, values : (n,) along all recordings, one sample before each
     noise : one standard deviation, in the unit of the residual
+    grids : recordings in roles
+    device : completed description
+    channel : of the response
     """
     span = float(np.nanmax(values) - np.nanmin(values))
     left = float(np.sqrt(np.nanmean(residual**2)))

@@ -68,6 +68,10 @@ def fit_device(
     plays : number of plays per channel
     progress : called with what is being done and the share done, 0 to 1
 
+    Returns
+    -------
+    FitResult : model, residuals and notes
+
     Raises
     ------
     ValueError : unknown device, or recordings without current, without any of resistance and deflection, too short,

@@ -167,6 +167,10 @@ def digest_of(
     step_k, outside_step_k : length of a block inside and outside [K]
     most : largest number of blocks; the steps are widened until it holds
 
+    Returns
+    -------
+    CalibrationDigest : block means over temperature
+
     Raises
     ------
     ValueError : shapes differ, or fewer than 100 samples.

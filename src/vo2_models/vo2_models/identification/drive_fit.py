@@ -30,6 +30,11 @@ def held_out(drive: NDArray[np.float64], how: HoldOut) -> NDArray[np.bool_]:
     `end`: the second half. `blocks`: every third block of ten samples, for a recording of a single loop, but
     no turning point: leaving samples out between reversals does not change what a rate-independent
     model remembers.
+
+    Parameters
+    ----------
+    drive : (n,) [unit of the drive]
+    how : which part of it
     """
     index = np.arange(drive.size)
     if how == "end":

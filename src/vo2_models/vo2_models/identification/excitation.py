@@ -96,7 +96,14 @@ def first_order_reversal_fan(walls: ArrayLike, *, reversals_only: bool = False) 
 
 
 def random_levels(low: float, high: float, count: int, *, seed: int | np.random.Generator) -> Floats:
-    """Return `count` independent levels, uniform between `low` and `high` (either may be the larger)."""
+    """Return `count` independent levels, uniform between `low` and `high` (either may be the larger).
+
+    Parameters
+    ----------
+    low, high : ends of the range [unit of the input]
+    count : number of levels
+    seed : seed, or generator to draw from
+    """
     if count < 1:
         raise ValueError(f"count: found {count}, need at least 1")
     return low + (high - low) * np.random.default_rng(seed).random(count)
@@ -110,6 +117,13 @@ def chirp(
     sample_period_s: float,
 ) -> Floats:
     """Return a sine of exponentially rising frequency, one level per sample period.
+
+    Parameters
+    ----------
+    centre, amplitude : [unit of the input]
+    frequency_hz : first and last frequency
+    duration_s : length [s]
+    sample_period_s : [s]
 
     Raises
     ------

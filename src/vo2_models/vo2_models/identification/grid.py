@@ -48,6 +48,14 @@ class GriddedRecording:
 def on_grid(recording: Recording) -> GriddedRecording:
     """Place the samples on a regular grid; where samples are missing the current is held and the rest is NaN.
 
+    Parameters
+    ----------
+    recording : with any stamps
+
+    Returns
+    -------
+    GriddedRecording : with one period
+
     Raises
     ------
     ValueError : fewer than 16 samples, no current, or gaps that would need too long a grid.

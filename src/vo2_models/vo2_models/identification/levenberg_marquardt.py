@@ -60,6 +60,11 @@ def levenberg_marquardt(
     largest_step : (p,) or number: most change of a parameter in one step
     prior : (p,) or number: precision of the prior around the start
     steps : most steps
+    tolerance : relative drop of the cost below which the search ends
+
+    Returns
+    -------
+    LeastSquares : minimiser, residual and Jacobian there
     """
     stiff = np.broadcast_to(np.asarray(prior, dtype=np.float64), start.shape)
     theta = np.clip(start, lower, upper)

@@ -63,7 +63,18 @@ class Loops:
 
 
 def film_path(model: DeviceModel, grids: Sequence[GriddedRecording], settled: bool) -> Floats:
-    """Film temperature of all recordings one behind the other, each preceded by one cold sample."""
+    """Film temperature of all recordings one behind the other, each preceded by one cold sample.
+
+    Parameters
+    ----------
+    model : its driver and thermal model
+    grids : recordings
+    settled : whether each starts settled at its first current
+
+    Returns
+    -------
+    array : (n,) [degC]
+    """
     parts = []
     for grid in grids:
         state = model.simulation.settled_state(grid.current[0], grid.dt) if settled else None
@@ -100,6 +111,10 @@ def fit_loops(
     settled : whether the recordings start settled at their first current instead of from a cold rest
     thermal : whether time constant and dead time are to be found
     say : called with what is being done and the share done
+
+    Returns
+    -------
+    Loops : scalar parameters, film path, and the fit of each bank
     """
     channels = [name for name in SECTIONS if any(name in grid.measured for grid in grids)]
     path = film_path(model, grids, settled)

@@ -52,7 +52,12 @@ def _autocorrelation(residual: Floats, lags: int) -> Floats:
 
 
 def residual_colour(residual: Floats, order: int = 2) -> tuple[float, ...]:
-    """Return autoregressive coefficients of the whole residual (n,), by Yule-Walker; empty where it is white."""
+    """Return autoregressive coefficients of the whole residual (n,), by Yule-Walker; empty where it is white.
+
+    Parameters
+    ----------
+    order : most coefficients
+    """
     rho = _autocorrelation(residual, order)
     if np.all(np.abs(rho) < 5.0 / np.sqrt(np.count_nonzero(np.isfinite(residual)))):
         return ()
@@ -62,7 +67,17 @@ def residual_colour(residual: Floats, order: int = 2) -> tuple[float, ...]:
 
 
 def correlation_inflation(residual: Floats, lags: int = 100) -> float:
-    """How much larger a variance is than for white residuals: 1 + 2 sum of the autocorrelations until they vanish."""
+    """How much larger a variance is than for white residuals: 1 + 2 sum of the autocorrelations until they vanish.
+
+    Parameters
+    ----------
+    residual : (n,)
+    lags : most terms of the sum
+
+    Returns
+    -------
+    float : at least 1
+    """
     rho = _autocorrelation(residual, min(lags, residual.size // 4))
     stop = np.flatnonzero(rho <= 0.0)
     return 1.0 + 2.0 * float(np.sum(rho[: stop[0]] if stop.size else rho))

@@ -41,7 +41,12 @@ def impossible(recording: Recording, device: str) -> list[str]:
 
 
 def unusual(recording: Recording, device: str) -> list[str]:
-    """Return what is far from the device of the preset, but may be so on another one of its kind; one clause each."""
+    """Return what is far from the device of the preset, but may be so on another one of its kind; one clause each.
+
+    Parameters
+    ----------
+    recording : in the contract's channels and units
+    """
     nominal = preset(device)
     if (
         not nominal.tells("responses", nominal.names.get(RESISTANCE, ""), "range")

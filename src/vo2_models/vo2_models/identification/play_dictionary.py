@@ -104,7 +104,12 @@ class DictionaryFit:
 
 
 def fold_of(good: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the part (n,) that each sample with a value belongs to, in blocks of time; -1 for the others."""
+    """Return the part (n,) that each sample with a value belongs to, in blocks of time; -1 for the others.
+
+    Parameters
+    ----------
+    good : (n,) whether a sample has a value
+    """
     count = int(np.count_nonzero(good))
     blocks = np.arange(count) * FOLDS * _BLOCKS_PER_FOLD // max(count, 1)
     fold = np.full(good.size, -1, dtype=np.int64)
@@ -123,6 +128,11 @@ def fit_dictionary(
     values : (n,) measured, NaN where missing
     degree : of the polynomial
     most : samples used, spread evenly over those with a value
+    dictionary : plays on a grid
+
+    Returns
+    -------
+    DictionaryFit : weights, polynomial and the error on held-out blocks
 
     Raises
     ------

@@ -54,7 +54,18 @@ class RigDynamics:
 
 
 def loop_path(grids: Sequence[GriddedRecording], device: DeviceDescription, dynamics: RigDynamics) -> Floats:
-    """Loop coordinate along all recordings one behind the other, each settled at its first drive and preceded by `COLD`."""
+    """Loop coordinate along all recordings one behind the other, each settled at its first drive and preceded by `COLD`.
+
+    Parameters
+    ----------
+    grids : recordings in roles
+    device : completed description
+    dynamics : sense, and lag or delay
+
+    Returns
+    -------
+    array : (n,) loop coordinate [degC]
+    """
     low, high = sorted(device.operating_range)
     ends = sorted(device.steady_temperature(v) for v in (low, high))
     parts = []

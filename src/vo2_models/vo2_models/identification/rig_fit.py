@@ -58,6 +58,10 @@ def fit_rig(
     device : completed by what the recordings tell
     progress : called with what is being done and the share done, 0 to 1
 
+    Returns
+    -------
+    FitResult : model, residuals and notes
+
     Raises
     ------
     ValueError : no drive, no response, a drive that hardly changes, or too few samples.

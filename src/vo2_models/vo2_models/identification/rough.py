@@ -99,7 +99,18 @@ def cell_features(
 
 
 def cell_sum(temperature: Floats, *, low: float, step: float, weights: Floats) -> Floats:
-    """Weighted sum of all cells' on-fractions, (n,); `weights` (rows, widths)."""
+    """Weighted sum of all cells' on-fractions, (n,); `weights` (rows, widths).
+
+    Parameters
+    ----------
+    temperature : (n,) [degC]
+    low : lowest threshold [degC]
+    step : side of a cell [K]
+
+    Returns
+    -------
+    array : (n,)
+    """
     out = np.empty(temperature.size)
     _sum(temperature, low, step, weights, out)
     return out

@@ -22,6 +22,11 @@ def play_sensitivities(
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Run N plays of radius 0 from their lower saturation along a temperature (n,) [degC].
 
+    Parameters
+    ----------
+    slope : (N,) of the envelopes [1/K]
+    half_width : (N,) half of their distance
+
     Returns
     -------
     values, by_log_slope, by_centre, by_log_half_width : (n, N) outputs and derivatives [1], [1/K] by the centre

@@ -41,6 +41,10 @@ def one_line(text: object, longest: int = _LONGEST_LINE) -> str:
 def check_regular(path: str | Path, most_bytes: int | None = None) -> int:
     """Return the size of a regular file [bytes]; opening anything else, as a FIFO, may wait for ever.
 
+    Parameters
+    ----------
+    path : of the file
+
     Raises
     ------
     InputError : nothing there, no regular file, or larger than `most_bytes`.
@@ -62,6 +66,10 @@ def check_regular(path: str | Path, most_bytes: int | None = None) -> int:
 def read_bytes(path: str | Path, most_bytes: int) -> bytes:
     """Return the content of a regular file of at most `most_bytes`.
 
+    Parameters
+    ----------
+    path : of the file
+
     Raises
     ------
     InputError : as `check_regular`, or not readable.
@@ -77,6 +85,10 @@ def read_bytes(path: str | Path, most_bytes: int) -> bytes:
 def check_place(path: str | Path) -> None:
     """Refuse before the work a place where nothing could be written after it; folders on the way may be missing.
 
+    Parameters
+    ----------
+    path : of the file that is to be written
+
     Raises
     ------
     InputError : names the folder that cannot be written into.
@@ -88,6 +100,10 @@ def check_place(path: str | Path) -> None:
 
 def write_whole(path: str | Path, content: str | bytes) -> None:
     """Write a file that appears whole or not at all: it is written beside its place and then moved there.
+
+    Parameters
+    ----------
+    content : text is written as UTF-8
 
     Raises
     ------

@@ -39,6 +39,10 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 def read_yaml(path: str | Path) -> Any:
     """Return the document of a YAML file in UTF-8; None where it is empty.
 
+    Parameters
+    ----------
+    path : of the file
+
     Raises
     ------
     InputError : not a regular file, not YAML, or beyond a limit; names the file and the place in it.

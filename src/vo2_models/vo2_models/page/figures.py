@@ -41,7 +41,17 @@ _RC: dict[Any, Any] = {
 
 @contextmanager
 def new_figure(width_in: float = 7.2, height_in: float = 3.0) -> Iterator[Figure]:
-    """Give a figure to draw on; no window, no global state."""
+    """Give a figure to draw on; no window, no global state.
+
+    Parameters
+    ----------
+    width_in : [inch]
+    height_in : [inch]
+
+    Yields
+    ------
+    Figure : to draw on, closed at the end of the `with`
+    """
     with matplotlib.rc_context(_RC):
         yield Figure(figsize=(width_in, height_in), layout="constrained")
 

@@ -21,7 +21,14 @@ figcaption { font-size: .9rem; color: #444; }
 
 
 def page(title: str, lead: str, sections: Sequence[str]) -> str:
-    """Return the HTML document; `lead` is one plain sentence, `sections` are HTML."""
+    """Return the HTML document; `lead` is one plain sentence, `sections` are HTML.
+
+    Parameters
+    ----------
+    title : of the document
+    lead : one plain sentence under it
+    sections : HTML
+    """
     body = "\n".join(sections)
     return (
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -32,7 +39,13 @@ def page(title: str, lead: str, sections: Sequence[str]) -> str:
 
 
 def section(title: str, *parts: str) -> str:
-    """Return a section of HTML parts under a heading."""
+    """Return a section of HTML parts under a heading.
+
+    Parameters
+    ----------
+    title : heading
+    parts : HTML
+    """
     return f"<section>\n<h2>{html.escape(title)}</h2>\n" + "\n".join(parts) + "\n</section>"
 
 
@@ -42,7 +55,14 @@ def paragraph(text: str) -> str:
 
 
 def table(caption: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return a table; numbers should come formatted."""
+    """Return a table; numbers should come formatted.
+
+    Parameters
+    ----------
+    caption : above the table
+    header : one cell per column
+    rows : cells, numbers formatted
+    """
     head = "".join(f'<th scope="col">{html.escape(cell)}</th>' for cell in header)
     body = "\n".join(
         "<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows

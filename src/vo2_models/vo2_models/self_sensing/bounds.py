@@ -48,7 +48,12 @@ def fit_bound(log_resistance: Floats, error: Floats, knots: Floats) -> Floats:
 
 
 def bound_table(kind: str, parameters: Mapping[str, Value]) -> Floats:
-    """Return [knots..., bounds...] (2 m,) of a scheme from flat parameters; one knot with NaN where there is none."""
+    """Return [knots..., bounds...] (2 m,) of a scheme from flat parameters; one knot with NaN where there is none.
+
+    Parameters
+    ----------
+    kind : scheme, one of `KINDS`
+    """
     knots = np.atleast_1d(np.asarray(parameters.get(BOUND_KNOTS, []), dtype=np.float64))
     bounds = np.atleast_1d(np.asarray(parameters.get(f"{SECTION}.bounds.{kind}", []), dtype=np.float64))
     if knots.size == 0 or bounds.size != knots.size:
@@ -58,7 +63,17 @@ def bound_table(kind: str, parameters: Mapping[str, Value]) -> Floats:
 
 @kernel
 def table_at(table, x):
-    """Linear interpolation in [knots..., values...], constant outside."""
+    """Linear interpolation in [knots..., values...], constant outside.
+
+    Parameters
+    ----------
+    table : (2 m,) knots, increasing, then values
+    x : where
+
+    Returns
+    -------
+    float : the value at `x`
+    """
     m = table.size // 2
     if x <= table[0]:
         return table[m]

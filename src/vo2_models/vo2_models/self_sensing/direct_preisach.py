@@ -40,7 +40,12 @@ the second over the level, as a fine grid needs it less. Chosen on simulated dev
 
 
 def walls_of(inputs: Floats, level: int) -> Floats:
-    """Return (L + 1,) walls from COLD to HOT, between even spacing and quantiles of the inputs (n,)."""
+    """Return (L + 1,) walls from COLD to HOT, between even spacing and quantiles of the inputs (n,).
+
+    Parameters
+    ----------
+    level : L, number of cells along one axis
+    """
     share = np.linspace(0.0, 1.0, level + 1)
     even = COLD + (HOT - COLD) * share
     part = min(_QUANTILES, _EVEN_FROM / level)

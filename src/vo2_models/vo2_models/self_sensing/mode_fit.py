@@ -66,7 +66,13 @@ class ModeFit:
 
 @kernel
 def through_mode(columns, step, out):
-    """Pass each column of (n, m) through the mode from rest at its first sample; `step` from `mode_step`."""
+    """Pass each column of (n, m) through the mode from rest at its first sample; `step` from `mode_step`.
+
+    Parameters
+    ----------
+    columns : (n, m) inputs
+    out : (n, m) filled with the outputs
+    """
     for j in range(columns.shape[1]):
         last = columns[0, j]
         z, rate = last, 0.0
@@ -180,6 +186,7 @@ def fit_law_through_mode(
     temperature : (n,) that the inverse of the resistance law found [degC]
     measured : (n,) deflection [m]
     start, mode : where to begin
+    iterations : most steps of the search
 
     Returns
     -------

@@ -21,7 +21,12 @@ COLD, HOT = 30.0, 90.0
 
 
 def domain_of(log_resistance: Floats) -> Floats:
-    """Return (2,): lowest and highest log10 R; raise `ValueError` where it does not change."""
+    """Return (2,): lowest and highest log10 R; raise `ValueError` where it does not change.
+
+    Parameters
+    ----------
+    log_resistance : (n,) log10 of the resistance [ohm]
+    """
     domain = np.array([log_resistance.min(), log_resistance.max()])
     if not domain[1] > domain[0]:
         raise ValueError("resistance: found one value throughout, need a recording in which it changes")
@@ -29,11 +34,31 @@ def domain_of(log_resistance: Floats) -> Floats:
 
 
 def scaled(log_resistance: Floats, domain: Floats) -> Floats:
-    """Map log10 R (n,) onto COLD (highest) to HOT (lowest); beyond them it goes on linearly."""
+    """Map log10 R (n,) onto COLD (highest) to HOT (lowest); beyond them it goes on linearly.
+
+    Parameters
+    ----------
+    log_resistance : (n,) log10 of the resistance [ohm]
+    domain : (2,) lowest and highest log10 R
+
+    Returns
+    -------
+    array : (n,)
+    """
     return COLD + (HOT - COLD) * (domain[1] - log_resistance) / (domain[1] - domain[0])
 
 
 @kernel
 def scaled_one(resistance, domain):
-    """`scaled` of one resistance [ohm]."""
+    """`scaled` of one resistance [ohm].
+
+    Parameters
+    ----------
+    resistance : [ohm]
+    domain : (2,) lowest and highest log10 R
+
+    Returns
+    -------
+    float : as an element of `scaled`
+    """
     return COLD + (HOT - COLD) * (domain[1] - math.log10(resistance)) / (domain[1] - domain[0])

@@ -185,6 +185,8 @@ def evaluate_partition(
     Parameters
     ----------
     partition : (M + 1,) increasing indices into the walls, from 0 to L
+    operator : to be compressed
+    criterion : of the loss
 
     Raises
     ------

@@ -67,7 +67,13 @@ def recover_outputs(
     order: NDArray[np.intp] | None = None,
     noise: float = 0.0,
 ) -> tuple[Floats, Floats, float]:
-    """Return outputs (count,), coefficients and duality gap from the outputs measured at `rows`: (4.14), (4.15)."""
+    """Return outputs (count,), coefficients and duality gap from the outputs measured at `rows`: (4.14), (4.15).
+
+    Parameters
+    ----------
+    order : (count,) order in which the outputs are smooth, None for theirs
+    noise : norm of the measurement noise [output unit]
+    """
     place = rows
     if order is not None:
         place = np.empty(count, dtype=np.intp)
@@ -103,6 +109,10 @@ def identify_compressed(
     nonnegative : (N,) True for the unknowns that must not be negative, (4.16) ("... Non-negative")
     noise : bound on the Euclidean norm of the measurement noise; 0 is the dissertation's equality
 
+    Returns
+    -------
+    CompressedIdentification : unknowns, outputs of the whole excitation, coefficients and gap
+
     Raises
     ------
     ValueError : indices repeated or out of range, shapes that do not fit, `order` no permutation.
@@ -137,6 +147,16 @@ def identify_preisach_compressed(
     """Identify a Preisach operator from a part of the outputs of `excitation.damped_oscillation(walls)`.
 
     As `identify_compressed`, with the sparse inverse of S in place of a dense one.
+
+    Parameters
+    ----------
+    order : order in which the outputs are smooth, None for theirs
+    noise : norm of the measurement noise [output unit]
+    diagonal : what the cells on the diagonal are
+
+    Returns
+    -------
+    tuple : operator and identification
 
     Raises
     ------

@@ -24,6 +24,10 @@ def sample_index(level: int) -> NDArray[np.intp]:
 
     E[i, j] = (output[high] - output[low]) / 2 for i > j, from the leg of the damped oscillation that
     connects the walls i and j. Entries with i <= j are -1.
+
+    Parameters
+    ----------
+    level : L, number of cells along one axis
     """
     index = np.full((level + 1, level + 1, 2), -1, dtype=np.intp)
     position = 0
@@ -45,6 +49,10 @@ def inverse_map(level: int) -> sparse.csr_matrix:
 
     Rows are the cells, packed row by row, then the bias; columns the N = L (L + 1) / 2 + 1 outputs of
     `excitation.damped_oscillation`. For other areas divide each cell's row by its area.
+
+    Parameters
+    ----------
+    level : L, number of cells along one axis
     """
     index = sample_index(level)
     cells = cell_count(level)

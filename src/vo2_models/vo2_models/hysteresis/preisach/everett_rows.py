@@ -132,6 +132,10 @@ def mass_map(level: int) -> sparse.csr_array:
 
     >>> mass_map(2).toarray().tolist()
     [[1.0, 0.0, 0.0], [-1.0, 1.0, -1.0], [0.0, 0.0, 1.0]]
+
+    Parameters
+    ----------
+    level : L, number of cells along one axis
     """
     i, j = np.tril_indices(level)
     cell = np.arange(i.size)
@@ -181,14 +185,24 @@ def node_values(masses: Floats) -> Floats:
 
 
 def mass_gradient(gradient: Floats) -> Floats:
-    """Return the derivatives to the masses (K,) from those to the node values: the transpose of `node_values`."""
+    """Return the derivatives to the masses (K,) from those to the node values: the transpose of `node_values`.
+
+    Parameters
+    ----------
+    gradient : derivatives to the node values
+    """
     masses = np.array(gradient, dtype=np.float64)[None]
     _accumulate(masses, _level(masses.shape[1]), False)
     return masses[0]
 
 
 def mass_gram(gram: sparse.sparray) -> Floats:
-    """Return the normal matrix (K, K) of the masses from that of the node values."""
+    """Return the normal matrix (K, K) of the masses from that of the node values.
+
+    Parameters
+    ----------
+    gram : normal matrix of the node values
+    """
     dense = np.ascontiguousarray(gram.toarray(), dtype=np.float64)
     level = _level(dense.shape[1])
     _accumulate(dense, level, False)

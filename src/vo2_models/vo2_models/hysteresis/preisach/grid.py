@@ -23,7 +23,12 @@ Diagonal = Literal["triangle", "square"]
 
 
 def checked_walls(walls: ArrayLike, name: str = "walls") -> Floats:
-    """Return `walls` (L + 1,) as increasing finite floats, at least two."""
+    """Return `walls` (L + 1,) as increasing finite floats, at least two.
+
+    Parameters
+    ----------
+    name : what the walls are called in the message
+    """
     array = increasing(finite_array(walls, name), name)
     if array.size < 2:
         raise ValueError(f"{name}: found {array.size} value(s), need at least 2 (one cell)")
@@ -31,12 +36,22 @@ def checked_walls(walls: ArrayLike, name: str = "walls") -> Floats:
 
 
 def cell_count(level: int) -> int:
-    """Return L (L + 1) / 2."""
+    """Return L (L + 1) / 2.
+
+    Parameters
+    ----------
+    level : L, number of cells along one axis
+    """
     return level * (level + 1) // 2
 
 
 def pack(cells: Floats) -> Floats:
-    """Return the lower triangle of (L, L) as a vector, row by row."""
+    """Return the lower triangle of (L, L) as a vector, row by row.
+
+    Parameters
+    ----------
+    cells : (L, L), used on and below the diagonal
+    """
     return np.ascontiguousarray(cells[np.tril_indices(cells.shape[0])])
 
 
@@ -52,6 +67,10 @@ def unpack(vector: Floats) -> Floats:
 
 def cell_areas(walls: Floats, diagonal: Diagonal = "triangle") -> Floats:
     """Return the areas of the cells (L, L), zero above the diagonal.
+
+    Parameters
+    ----------
+    walls : (L + 1,) increasing
 
     Raises
     ------

@@ -137,6 +137,10 @@ def nonnegative_masses(
     penalty : (K, K) symmetric, positive semidefinite; none by default
     tolerance : of the duality gap, relative to the objective (or to 1e-6 of the data's square, if larger)
 
+    Returns
+    -------
+    ConstrainedSolution : masses, constant part, and how near the optimum they are
+
     Raises
     ------
     ArithmeticError : the iterations stall more than 1000 tolerances away from the optimum.

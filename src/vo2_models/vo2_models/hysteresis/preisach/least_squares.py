@@ -82,6 +82,10 @@ def fit_preisach(
     diagonal : how the cells on the diagonal count, see `PreisachOperator`
     history : (m,) inputs before `v` from negative saturation; None where `v` starts in negative saturation
 
+    Returns
+    -------
+    PreisachFit : operator, slope of the linear term, residual
+
     Raises
     ------
     ValueError : not finite, shapes differ, or too little excitation: fewer samples than unknowns, cells that

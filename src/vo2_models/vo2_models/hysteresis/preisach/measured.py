@@ -61,6 +61,14 @@ def read_reversal_curves(path: str | os.PathLike[str]) -> ReversalCurves:
     Each moment is multiplied by (mean calibration moment) / (calibration moment interpolated in the order of
     measurement), which removes the slow drift of the instrument's gain.
 
+    Parameters
+    ----------
+    path : of the file
+
+    Returns
+    -------
+    ReversalCurves : one array per curve, in SI units
+
     Raises
     ------
     ValueError : no calibration points and curves in turn, or a line that is not two numbers.
@@ -101,7 +109,12 @@ def read_reversal_curves(path: str | os.PathLike[str]) -> ReversalCurves:
 
 
 def read_piezo(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
-    """Return actuator voltage [V] and displacement [m] (n,) of the piezo recording, sampled at 200 Hz."""
+    """Return actuator voltage [V] and displacement [m] (n,) of the piezo recording, sampled at 200 Hz.
+
+    Parameters
+    ----------
+    path : of the file
+    """
     table = np.loadtxt(path, dtype=np.float64)
     if table.ndim != 2 or table.shape[1] < 5:
         raise ValueError(f"{path}: found shape {table.shape}, need at least 5 columns")
@@ -109,7 +122,12 @@ def read_piezo(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
 
 
 def read_voltage_sweep(path: str | os.PathLike[str]) -> tuple[Floats, Floats, Floats]:
-    """Return voltage [V], current [A] and resistance [ohm] (n,) of the two-terminal VO2 sweep."""
+    """Return voltage [V], current [A] and resistance [ohm] (n,) of the two-terminal VO2 sweep.
+
+    Parameters
+    ----------
+    path : of the file
+    """
     with open(path, encoding="utf-8-sig", newline="") as file:
         rows = list(csv.reader(file))
     values = []

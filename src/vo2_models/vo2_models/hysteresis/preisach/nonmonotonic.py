@@ -186,6 +186,11 @@ def fit_nonmonotonic(
         go below and above the transition region, where only the expansion acts.
     walls : (L + 1,) grid over the transition region [T_min, T_max]
     reference : T0 of (5.7)
+    history : inputs before the first sample, from negative saturation
+
+    Returns
+    -------
+    NonMonotonicPreisach : fitted
 
     Raises
     ------

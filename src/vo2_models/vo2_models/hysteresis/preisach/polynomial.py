@@ -45,6 +45,15 @@ class PolynomialModel:
 def fit_polynomial(v: ArrayLike, u: ArrayLike, degree: int = 12) -> PolynomialModel:
     """Least squares polynomial; the degree of section 5.3.2 is 12.
 
+    Parameters
+    ----------
+    v, u : (n,) inputs and outputs
+    degree : of the polynomial
+
+    Returns
+    -------
+    PolynomialModel : without memory
+
     Raises
     ------
     ValueError : not finite, shapes differ, or not more distinct inputs than the degree.

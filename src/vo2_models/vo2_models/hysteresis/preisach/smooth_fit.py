@@ -62,6 +62,10 @@ def roughness(walls: Floats) -> sparse.csr_matrix:
 
     The cells on the diagonal, which also carry what is reversible, are compared with each other only. Cells
     more than three times as wide as the median are left alone.
+
+    Parameters
+    ----------
+    walls : (L + 1,) increasing
     """
     level = walls.size - 1
     width = np.diff(walls)
@@ -228,6 +232,10 @@ def fit_smooth(
     folds : number of parts, each of every `folds`-th group
     diagonal, history : as in `fit_preisach`. There is no linear term: a constant density on the diagonal is one, and
         smooth, so that the two could not be told apart.
+
+    Returns
+    -------
+    SmoothFit : operator, residual, and the strength that held-out folds chose
 
     Raises
     ------
