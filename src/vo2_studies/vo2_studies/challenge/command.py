@@ -30,6 +30,7 @@ from vo2_studies.challenge.plan import (
     CasePlan,
     Choice,
 )
+from vo2_studies.challenge.recordings.draw import MeasuredSettings
 from vo2_studies.challenge.runner import (
     CaseRunner,
     Paths,
@@ -99,6 +100,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--follow-up", action="store_true", help="play proposed excitations and diagnose again"
+    )
+    parser.add_argument(
+        "--recordings",
+        type=Path,
+        help="conceal known changes in the measurements of this data folder, in place of drawn devices",
     )
     parser.add_argument("--keep-bags", action="store_true", help="leave all bags in the output folder")
     parser.add_argument("--retry-failed", action="store_true", help="run cases without diagnosis again")
@@ -173,7 +179,9 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
             )
         if not 0 <= arguments.misfit <= 0.3:
             raise ValueError(f"misfit: found {arguments.misfit}, need 0 to 0.3")
-        settings = Settings(arguments.seed, arguments.misfit, _choice(arguments))
+        settings: Settings | MeasuredSettings = Settings(arguments.seed, arguments.misfit, _choice(arguments))
+        if arguments.recordings is not None:
+            settings = MeasuredSettings(arguments.seed, str(arguments.recordings.resolve()))
         plans = [settings.plan(index) for index in range(arguments.cases)]
         paths = Paths(arguments.output.resolve())
         _claim(paths, settings)
@@ -204,13 +212,15 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
     return 0 if done else 130
 
 
-def _claim(paths: Paths, settings: Settings) -> None:
+def _claim(paths: Paths, settings: Settings | MeasuredSettings) -> None:
     """Record the settings in the output folder, or check that they are those it was begun with."""
     wanted = json.loads(json.dumps(asdict(settings)))
     file = paths.root / "settings.json"
     if file.exists():
         # a setting that is younger than the folder had its default
-        found = _flat(json.loads(json.dumps(asdict(Settings(0))))) | _flat(load_json(file))
+        found = _flat(
+            json.loads(json.dumps(asdict(Settings(0)))) if isinstance(settings, Settings) else {}
+        ) | _flat(load_json(file))
         if different := [key for key, value in _flat(wanted).items() if found.get(key) != value]:
             raise ValueError(
                 f"output: {paths.root} was begun with another {', '.join(different)}, need another folder"
@@ -226,7 +236,7 @@ def _flat(settings: dict) -> dict:
     return {key: value for key, value in settings.items() if key != "choice"} | settings.get("choice", {})
 
 
-def _write_bags(plans: Sequence[CasePlan], paths: Paths, settings: Settings) -> int:
+def _write_bags(plans: Sequence[CasePlan], paths: Paths, settings: Settings | MeasuredSettings) -> int:
     for plan in plans:
         if paths.answer(plan.index).exists() and (paths.case(plan.index) / "test" / "metadata.yaml").exists():
             continue

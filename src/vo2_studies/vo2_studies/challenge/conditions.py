@@ -115,11 +115,11 @@ def draw_condition(
 
 
 def write_recording(
-    path: Path, measurement: Recording, commands: tuple[Array, Array], namespace: str = "/vo2"
+    path: Path, measurement: Recording, commands: tuple[Array, Array] | None, namespace: str = "/vo2"
 ) -> Path:
     """Write a bag: measurements without the channels that a sample does not have, commands with their own stamps [s].
 
-    `commands` are stamps (m,) [s] and currents (m,) [A].
+    `commands` are stamps (m,) [s] and currents (m,) [A], None where the rig recorded none.
     """
     names = [name for name in measurement.channels if name != COMMANDED_CURRENT]
     values = np.column_stack([measurement[name] for name in names])
@@ -131,16 +131,15 @@ def write_recording(
         kept = [name for name, there in zip(names, pattern, strict=True) if there]
         encoded = encode(stamps[rows], kept, values[rows][:, pattern], measurement.device)
         messages += [(int(stamps[k]), 0, text) for k, text in zip(rows, encoded, strict=True)]
-    when = np.rint(commands[0] * 1e9).astype(np.int64)
-    encoded = encode(
-        when, [HEATER_CURRENT], np.asarray(commands[1], dtype=np.float64)[:, None], measurement.device
-    )
-    messages += [(int(stamp), 1, text) for stamp, text in zip(when, encoded, strict=True)]
+    roles = ["measurement"]
+    if commands is not None:
+        roles.append("command")
+        when = np.rint(commands[0] * 1e9).astype(np.int64)
+        values = np.asarray(commands[1], dtype=np.float64)[:, None]
+        encoded = encode(when, [HEATER_CURRENT], values, measurement.device)
+        messages += [(int(stamp), 1, text) for stamp, text in zip(when, encoded, strict=True)]
     with BagWriter(path, flush_period_s=float("inf")) as bag:
-        topics = [
-            bag.add_topic(f"{namespace}/{role}", "sensor_msgs/msg/JointState")
-            for role in ("measurement", "command")
-        ]
+        topics = [bag.add_topic(f"{namespace}/{role}", "sensor_msgs/msg/JointState") for role in roles]
         for stamp, topic, text in sorted(messages, key=lambda message: message[:2]):
             bag.write(topics[topic], stamp, text)
     return path

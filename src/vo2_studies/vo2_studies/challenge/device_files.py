@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
+from typing import Any
 
 import numpy as np
-import yaml
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
 from vo2_studies.challenge.devices import Preset, Scales
 
-__all__ = ["draw_preset", "write_device_file"]
+__all__ = ["device_document", "draw_preset"]
 
 FACTOR = 3.0
 """Largest factor between a drawn rig and its preset."""
@@ -55,10 +54,10 @@ def draw_preset(rng: np.random.Generator, preset: Preset) -> Preset:
     )
 
 
-def write_device_file(path: Path, preset: Preset) -> Path:
-    """Write the device file of a rig and return its path."""
+def device_document(preset: Preset) -> dict[str, Any]:
+    """Return the content of a rig's device file."""
     low, high = preset.current_limits
-    document: dict = {
+    document: dict[str, Any] = {
         "schema": "vo2-device/1",
         "id": preset.name,
         "drive": {
@@ -93,5 +92,4 @@ def write_device_file(path: Path, preset: Preset) -> Path:
     }
     if preset.has_temperature:
         document["temperature"] = {"channel": STAGE_TEMPERATURE, "noise": preset.noise_temperature}
-    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
-    return path
+    return document

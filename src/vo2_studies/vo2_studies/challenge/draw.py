@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,7 @@ from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, Recording
 from vo2_studies.challenge.catalogue import draw_effect, families, forms, redrawn
 from vo2_studies.challenge.conditions import Condition, draw_condition
 from vo2_studies.challenge.constants import CONSTANTS, another_day, draw_move
-from vo2_studies.challenge.device_files import draw_preset
+from vo2_studies.challenge.device_files import device_document, draw_preset
 from vo2_studies.challenge.devices import PRESETS, Device, Preset, draw_device
 from vo2_studies.challenge.effect import ConcealedEffect, Context, Drawn
 from vo2_studies.challenge.excess import branch_of, excess_by_channel
@@ -20,7 +22,7 @@ from vo2_studies.challenge.outside import COMPOSED, describe
 from vo2_studies.challenge.plan import RANGE, CasePlan
 from vo2_studies.challenge.rig import Noise, Plan, Truth, channels_of, draw_rig_noise, log_channels, simulate
 
-__all__ = ["Case", "Recorded", "draw_case", "follow_up_recording"]
+__all__ = ["Case", "Recorded", "draw_case", "draw_rig", "follow_up_recording"]
 
 EXCESS_RANGE = {
     "one": ((3.0, 1000.0),),
@@ -40,10 +42,10 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class Recorded:
-    """One recording as a bag holds it: measurements, and the stamps [s] and currents [A] of the commands."""
+    """One recording as a bag holds it: measurements, and stamps [s] and currents [A] of the commands if there are any."""
 
     measurement: Recording
-    commands: tuple[Array, Array]
+    commands: tuple[Array, Array] | None
 
 
 @dataclass(frozen=True)
@@ -53,16 +55,18 @@ class Case:
     Attributes
     ----------
     plan : what was planned
-    preset : the rig as its data sheet tells it
+    preset : the rig as its data sheet tells it; None of a measured device
     calibration, test : what the rig recorded
     answer : JSON-ready truth
+    document : content of its device file; None of a rig that is a preset
     """
 
     plan: CasePlan
-    preset: Preset
+    preset: Preset | None
     calibration: Recorded
     test: Recorded
     answer: dict
+    document: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -97,12 +101,18 @@ class _Rig:
         return Recorded(self.condition.spoil(rng, whole, self.noise), (stamps, truth.command[:-1]))
 
 
+def draw_rig(seed: int, plan: CasePlan) -> Preset:
+    """Return the rig of a case as its data sheet tells it."""
+    preset = PRESETS[plan.device]
+    if plan.rigs != RANGE:
+        return preset
+    return draw_preset(np.random.default_rng([seed, 59, plan.index]), preset)
+
+
 def _rig(seed: int, plan: CasePlan, misfit: float) -> tuple[np.random.Generator, _Rig]:
     """Return the case's randomness after drawing the rig."""
     rng = np.random.default_rng([seed, 29, plan.index])
-    preset = PRESETS[plan.device]
-    if plan.rigs == RANGE:
-        preset = draw_preset(np.random.default_rng([seed, 59, plan.index]), preset)
+    preset = draw_rig(seed, plan)
     device = draw_device(rng, preset, misfit=misfit, family=plan.family)
     noise = draw_rig_noise(rng, device)
     needs_set_value = any(form.needs_set_value for name in plan.effects for form in forms(name))
@@ -179,7 +189,8 @@ def draw_case(seed: int, plan: CasePlan, *, misfit: float = 0.1) -> Case:
         "excess": max(excess.values(), default=0.0),
         "noise": {name: {"sd": n.sd, "coloured": n.coloured, "rho": n.rho} for name, n in noise.items()},
     }
-    return Case(plan, preset, calibration, test, answer)
+    document = device_document(preset) if plan.rigs == RANGE else None
+    return Case(plan, preset, calibration, test, answer, document)
 
 
 def follow_up_recording(

@@ -45,11 +45,15 @@ def half_order(values: Array, step: float, time: float) -> Array:
 
 
 def boxcar(values: Array, step: float, length: float) -> Array:
-    """Return the mean of `values` (n,) over the last `length` [s], to second order in the step."""
+    """Return the mean of `values` (n,) over the last `length` [s], exact for straight lines between elements."""
     time = np.arange(values.size) * step
     total = np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2 * step)])
+    start = np.maximum(time - length, 0.0)
+    k = np.minimum((start / step).astype(np.int64), values.size - 2)
+    part = start - k * step
+    up_to_start = total[k] + values[k] * part + (values[k + 1] - values[k]) / step * part**2 / 2
     before = np.where(time < length, values[0] * (length - time), 0.0)  # at rest before the first element
-    return (total - np.interp(time - length, time, total) + before) / length
+    return np.asarray((total - up_to_start + before) / length)
 
 
 @kernel

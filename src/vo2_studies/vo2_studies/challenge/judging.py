@@ -239,7 +239,9 @@ def judge(answer: Mapping, result: Mapping) -> Judgement:
         "kind": kind,
         "device": answer["device"],
         "truth": truth,
-        "counted": all(effect["excess"] > COUNTED_EXCESS for effect in effects),
+        "counted": answer.get(
+            "counted", all(effect.get("excess", 0.0) > COUNTED_EXCESS for effect in effects)
+        ),
         "settings": {key: answer[name] for key, name in SETTINGS.items() if name in answer},
     }
     if diagnosis is None:

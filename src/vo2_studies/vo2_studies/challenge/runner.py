@@ -23,18 +23,27 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+import yaml
 from vo2_models.io import write_whole
 
 from vo2_studies.challenge.conditions import write_recording
-from vo2_studies.challenge.device_files import write_device_file
-from vo2_studies.challenge.draw import Case, draw_case, follow_up_recording
-from vo2_studies.challenge.plan import RANGE, CasePlan, Choice, plan_case
+from vo2_studies.challenge.devices import Preset
+from vo2_studies.challenge.draw import Case, draw_case, draw_rig, follow_up_recording
+from vo2_studies.challenge.plan import CasePlan, Choice, plan_case
 
 __all__ = ["CaseRunner", "Paths", "Settings", "finished", "load_json", "save_json", "write_case"]
 
 KEYS = ("verdict", "location", "effects", "candidates", "fit", "indistinguishable", "next_experiment")
+
+
+class Drawing(Protocol):
+    """What cases come from: drawn devices (`Settings`) or measured ones (`recordings.draw.MeasuredSettings`)."""
+
+    def plan(self, index: int) -> CasePlan: ...
+
+    def case(self, plan: CasePlan) -> Case: ...
 
 
 @dataclass(frozen=True)
@@ -52,6 +61,10 @@ class Settings:
     def case(self, plan: CasePlan) -> Case:
         """Draw the case of `plan`."""
         return draw_case(self.seed, plan, misfit=self.misfit)
+
+    def rig(self, plan: CasePlan) -> Preset:
+        """Return the rig of the case as its data sheet tells it."""
+        return draw_rig(self.seed, plan)
 
 
 @dataclass(frozen=True)
@@ -99,7 +112,7 @@ class CaseRunner:
     threads : numerical threads of each process, 0 for as many as it likes
     """
 
-    settings: Settings
+    settings: Drawing
     paths: Paths
     fit: Sequence[str] = (sys.executable, "-m", "vo2_identification.fit", "--simulation-only")
     diagnose: Sequence[str] = (sys.executable, "-m", "vo2_identification.diagnose")
@@ -167,20 +180,21 @@ class CaseRunner:
         from vo2_studies.challenge.excitation import played_current
 
         experiment = result["diagnosis"]["next_experiment"]
-        if experiment is None or experiment["kind"] != "excitation":
-            return
+        settings = self.settings
+        if experiment is None or experiment["kind"] != "excitation" or not isinstance(settings, Settings):
+            return  # a measured device is not at hand
         try:
-            current = played_current(experiment["excitation"], self.settings.case(plan).preset)
+            current = played_current(experiment["excitation"], settings.rig(plan))
         except (TypeError, ValueError) as error:
             result["follow_up_failure"] = f"not playable: {error}"
             return
         answer = load_json(self.paths.answer(plan.index))
         recording = follow_up_recording(
-            self.settings.seed,
+            settings.seed,
             plan,
             answer,
             current,
-            misfit=self.settings.misfit,
+            misfit=settings.misfit,
         )
         write_recording(folder / "follow_up", recording.measurement, recording.commands)
         command = [*self.diagnose, *_recordings(plan, "test", "follow_up")]
@@ -224,9 +238,10 @@ def write_case(case: Case, paths: Paths) -> str:
     save_json(paths.answer(case.plan.index), case.answer)
     for name, recorded in (("calibration", case.calibration), ("test", case.test)):
         write_recording(folder / name, recorded.measurement, recorded.commands)
-    if case.plan.rigs != RANGE:
+    if case.document is None:
         return case.plan.device
-    return write_device_file(folder / "device.yaml", case.preset).name
+    write_whole(folder / "device.yaml", yaml.safe_dump(dict(case.document), sort_keys=False))
+    return "device.yaml"
 
 
 def _recordings(plan: CasePlan, *bags: str) -> list[str]:

@@ -1,0 +1,112 @@
+"""Changes concealed in measurements: exact, of the wanted size, reversible; the sets as their README says."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from vo2_identification.bags import read_recording
+from vo2_models.recording import Recording
+from vo2_studies.challenge import command
+from vo2_studies.challenge.recordings.changes import CHANGES, changed
+from vo2_studies.challenge.recordings.draw import MeasuredSettings
+from vo2_studies.challenge.recordings.sets import repeat_spread
+from vo2_studies.challenge.runner import Paths, load_json, write_case
+
+TIME = np.arange(4000) * 0.01
+LOOP = 50.0 + 30.0 * np.sin(TIME / 2) + 3.0 * np.sin(3.3 * TIME)
+
+
+def rms(values):
+    return float(np.sqrt(np.mean((values - LOOP) ** 2)))
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=[change.id for change in CHANGES])
+def test_changes_have_the_wanted_size_and_grow(change):
+    small, large = (changed(change, TIME, LOOP, wanted, rms) for wanted in (0.01, 0.03))
+    assert rms(small[0]) == pytest.approx(0.01, rel=0.05)
+    assert rms(large[0]) == pytest.approx(0.03, rel=0.05)
+    assert large[1] > small[1]
+
+
+def by_id(name):
+    (found,) = (change for change in CHANGES if change.id == name)
+    return found
+
+
+def test_changes_are_exact():
+    lagging = by_id("sensor_lag").alter(TIME, LOOP, 0.5)
+    assert np.allclose((0.5 * np.gradient(lagging, TIME) + lagging)[5:-5], LOOP[5:-5], atol=0.1)
+    assert np.allclose(by_id("clock_offset").alter(TIME, LOOP, 0.05)[5:], LOOP[:-5])
+    # what was stated, behind the dead time or with the drift, is what was applied
+    stated = by_id("dead_time").alter(TIME, LOOP, 0.05)
+    assert np.allclose(stated[:-5], LOOP[5:])
+    drifted = by_id("drive_gain_drift").alter(TIME, LOOP, 0.1)
+    assert np.allclose(drifted * (1 + 0.1 * TIME / TIME[-1]), LOOP)
+    film = by_id("leakage_resistance").alter(TIME, LOOP, 1e-3)
+    assert np.allclose(1 / film, 1 / LOOP + 1e-3)
+
+
+def test_a_size_out_of_reach_is_the_largest():
+    after, strength = changed(by_id("adc_saturation"), TIME, LOOP, 1e3, rms)
+    assert strength == pytest.approx(0.3 * np.ptp(LOOP), rel=1e-6)
+    assert rms(after) < 1e3
+
+
+def test_spread_of_repeats():
+    rng = np.random.default_rng(0)
+    drive = np.concatenate(
+        [np.linspace(a, b, 500) for a, b in itertools.pairwise([0, 1, 0, 1, 0, 1, 0, 1, 0])]
+    )
+
+    def run(offset):
+        channels = {"u": drive, "y": drive**2 + offset + 1e-4 * rng.standard_normal(drive.size)}
+        return Recording(TIME, channels, "x")
+
+    assert repeat_spread(run(0.0), run(0.02), "u", "y", "m") == pytest.approx(0.02, rel=0.02)
+    once = run(0.0)
+    assert repeat_spread(once, once, "u", "y", "m") == pytest.approx(1e-4, rel=0.15)
+
+
+DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="needs ../shared/data beside the repository")
+
+
+@needs_data
+def test_cases_of_the_measured_sets(tmp_path):
+    settings = MeasuredSettings(3, str(DATA))
+    plans = [settings.plan(k) for k in range(420)]
+    assert {plan.device for plan in plans} == {one.name for one in settings.sets}
+    assert sum(not plan.effects for plan in plans) == 140, "a third is unchanged"
+    assert {plan.kind for plan in plans} == {"none", "day", "one"}
+    assert all((plan.condition == "remounted") == (plan.kind == "day") for plan in plans if not plan.effects)
+    assert len({plan.effects for plan in plans}) == len(CHANGES) + 1
+    seen = set()
+    for plan in plans:
+        if plan.device in seen or not plan.effects:
+            continue
+        seen.add(plan.device)
+        case = settings.case(plan)
+        assert case.answer["effects"][0]["ratio"] > 0
+        channel = case.answer["effects"][0]["channels"][0]
+        (measured,) = (one for one in settings.sets if one.name == plan.device)
+        assert not np.array_equal(case.test.measurement[channel], measured.others[plan.condition][channel])
+        assert write_case(case, Paths(tmp_path)) == "device.yaml"
+        recording, _ = read_recording(tmp_path / "cases" / f"{plan.index:04d}" / "test")
+        assert len(recording) == len(case.test.measurement)
+    assert seen == {one.name for one in settings.sets}
+
+
+@needs_data
+def test_the_command_draws_measured_cases(tmp_path):
+    arguments = ["--cases", "2", "--seed", "3", "--output", str(tmp_path / "out"), "--bags-only"]
+    assert command.main([*arguments, "--recordings", str(DATA)]) == 0
+    assert load_json(tmp_path / "out" / "settings.json")["recordings"] == str(DATA)
+    assert (tmp_path / "out" / "cases" / "0001" / "device.yaml").exists()
+
+
+def test_a_folder_that_is_not_the_data_folder(tmp_path, capsys):
+    arguments = ["--cases", "2", "--seed", "3", "--output", str(tmp_path / "out")]
+    assert command.main([*arguments, "--recordings", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert "piezo" in error and error.count("\n") == 1

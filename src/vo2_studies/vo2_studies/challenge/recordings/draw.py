@@ -1,0 +1,116 @@
+"""Cases of measured devices: a third unchanged, the rest with one change of 1 to 100 times the repeats' distance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from vo2_models.recording import Recording
+
+from vo2_studies.challenge.draw import Case, Recorded
+from vo2_studies.challenge.effect import log_uniform
+from vo2_studies.challenge.plan import CasePlan
+from vo2_studies.challenge.recordings.changes import CHANGES, Change, changed
+from vo2_studies.challenge.recordings.sets import Array, MeasuredSet, judged, load_sets
+
+__all__ = ["MeasuredSettings"]
+
+RATIOS = (1.0, 100.0)
+"""Size of a change over the repeats' distance."""
+COUNTED_RATIO = 5.0
+"""Smaller changes are scored apart."""
+REMOUNTED = "remounted"
+
+
+@dataclass(frozen=True)
+class MeasuredSettings:
+    """What decides the cases; the same interface as `runner.Settings`."""
+
+    seed: int
+    recordings: str
+
+    @cached_property
+    def sets(self) -> list[MeasuredSet]:
+        return load_sets(Path(self.recordings))
+
+    def plan(self, index: int) -> CasePlan:
+        """Return the plan of case `index`: sets in turn, every third case unchanged, changes in shuffled decks."""
+        number, place = divmod(index, len(self.sets))
+        measured = self.sets[place]
+        parts = list(measured.others)
+        part = parts[number % len(parts)]
+        kind = "one"
+        if (number + place) % 3 == 0:
+            kind = "day" if part == REMOUNTED else "none"
+        usable = [c for c in CHANGES if not c.units or measured.unit in c.units]
+        deck, card = divmod(number, len(usable))
+        order = np.random.default_rng([self.seed, 71, place, deck]).permutation(len(usable))
+        effects = (usable[int(order[card])].id,) if kind == "one" else ()
+        return CasePlan(
+            index, kind, measured.name, effects, family="measured", condition=part, excitation="own"
+        )
+
+    def case(self, plan: CasePlan) -> Case:
+        """Draw the case of `plan`."""
+        (measured,) = (one for one in self.sets if one.name == plan.device)
+        rng = np.random.default_rng([self.seed, 73, plan.index])
+        test, entries = measured.others[plan.condition], []
+        if plan.effects:
+            (change,) = (one for one in CHANGES if one.id == plan.effects[0])
+            test, entry = _conceal(measured, test, change, log_uniform(rng, *RATIOS))
+            entries.append(entry)
+        answer = {
+            "index": plan.index,
+            "kind": plan.kind,
+            "device": plan.device,
+            "family": plan.family,
+            "condition": plan.condition,
+            "excitation": plan.excitation,
+            "repeat_spread": measured.spread,
+            "moved": [],
+            "effects": entries,
+            "counted": all(entry["ratio"] > COUNTED_RATIO for entry in entries),
+        }
+        return Case(
+            plan, None, Recorded(measured.calibration, None), Recorded(test, None), answer, measured.document
+        )
+
+
+def _conceal(measured: MeasuredSet, test: Recording, change: Change, ratio: float) -> tuple[Recording, dict]:
+    """Return the recording with the change and what the answer says of it."""
+    channel = measured.drive if change.before else measured.response
+    values = test[channel]
+    before = values if change.before else judged(values, measured.unit)
+    # a drive moves by the share of its range that the response is to move of its own
+    scale = np.ptp(values) / np.ptp(judged(test[measured.response], measured.unit)) if change.before else 1.0
+
+    def moved(after: Array) -> float:
+        return float(
+            np.sqrt(np.mean(((after if change.before else judged(after, measured.unit)) - before) ** 2))
+        )
+
+    unit = measured.spread * float(scale)
+    after, strength = changed(change, test.time_s, values, ratio * unit, moved)
+    family = f"{change.family}:{channel}" if change.family in ("sensor", "clock") else change.family
+    # a single response does not tell a structure that lags from its sensor
+    also = [f"sensor:{channel}"] if change.family in ("structure", "film") else []
+    entry = {
+        "id": change.id,
+        "form": "measured",
+        "siblings": [],
+        "families": [family, *also],
+        "signal": channel if change.family in ("sensor", "clock") else None,
+        "parameters": {
+            change.parameter: {
+                "value": strength,
+                "unit": measured.unit if change.unit == "response" else change.unit,
+            }
+        },
+        "ratio": moved(after) / unit,
+        "channels": [channel, measured.response],
+        "branch": "both",
+        "absorbed_by_constant": False,
+    }
+    return replace(test, channels={**test.channels, channel: np.asarray(after, dtype=np.float64)}), entry
