@@ -8,57 +8,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from concealed_devices import DEVICE, SEED, calibrated, concealed, measured
 from threadpoolctl import threadpool_info, threadpool_limits
 from vo2_identification.bags import write_bag
 from vo2_identification.diagnose import main
-from vo2_models.device import DeviceModel, preset, surrogate_of_temperature, truth
+from vo2_models.device import DeviceModel, preset, truth
 from vo2_models.diagnosis import diagnose, study, validate
-from vo2_models.diagnosis.assemble_diagnosis import assemble_diagnosis
+from vo2_models.diagnosis.decide import _worsens
 from vo2_models.diagnosis.files import write_results
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.pairs import Option
 from vo2_models.diagnosis.part import prepare
-from vo2_models.diagnosis.pipeline import _worsens
 from vo2_models.diagnosis.problem import linearise_problem
-from vo2_models.identification.excitation import Excitation, composite_recording, damped_oscillation
-from vo2_models.identification.model_fit import fit_model
+from vo2_models.diagnosis.report import assemble_diagnosis
 from vo2_models.model_file import load_model_parameters, save_model_parameters
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
-
-DEVICE, SEED = "integrated", 11
-MEASURED = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)
-
-
-def measured(recording: Recording) -> Recording:
-    channels = {k: v for k, v in recording.channels.items() if k in MEASURED}
-    return Recording(recording.time_s, channels, recording.device)
-
-
-def concealed(
-    effects=None, *, seed=4, samples=4000, colour=0.0, device_seed=SEED, device=DEVICE
-) -> Recording:
-    nominal = preset(device)
-    dt = nominal.sample_period
-    cold, hot = nominal.operating_range
-    begin, end = surrogate_of_temperature(device, np.array([50.0, 70.0]))
-    current = composite_recording(
-        cold, hot, transition=(begin, end), duration_s=samples * dt, sample_period_s=dt, seed=seed
-    ).sample(dt)
-    concealing = truth(device, seed=device_seed, effects=effects or {}, colour=colour)
-    return measured(concealing.simulate(current, seed=seed + 100))
-
-
-def calibrated(device_seed=SEED, device=DEVICE, read=measured):
-    """Model fitted to smaller and smaller loops at one rate, on which a lag and a wider loop look the same."""
-    nominal = preset(device)
-    low, high = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
-    levels = damped_oscillation(np.linspace(low, high, 31), reversals_only=True)
-    rate = float(np.sum(np.abs(np.diff(levels)))) / (12_000 * nominal.sample_period)
-    sweep = Excitation.at_rate(levels, rate_per_s=rate).sample(nominal.sample_period)
-    current = surrogate_of_temperature(device, sweep)
-    calibration = truth(device, seed=device_seed).simulate(current, seed=1)
-    _, found = fit_model([read(calibration)], device, plays=12)
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -92,19 +56,22 @@ def test_the_cores_are_not_taken_twice(parameters) -> None:
 def test_a_calibration_at_one_rate_raises_no_alarm_at_another(device_seed) -> None:
     found = calibrated(device_seed)
     seen = study([concealed(device_seed=device_seed)], found)
-    assert not seen.differs
-    assert seen.constants_chi_square < 25.0
+    assert seen.decision.verdict == "agrees"
+    assert not seen.decision.drift.significant(1e-4)
     # the calibration cannot tell the time constant from the loops: without what it knows of both there is an alarm
     alone = {name: value for name, value in found.items() if "_by_" not in name}
     assert len(alone) == len(found) - 4
-    assert study([concealed(device_seed=device_seed)], alone).total_excess > 2.0 * seen.total_excess
+    assert (
+        study([concealed(device_seed=device_seed)], alone).located.total_excess
+        > 2.0 * seen.located.total_excess
+    )
 
 
 def test_the_tangent_of_a_lag_takes_the_loops_along(parameters) -> None:
     nominal = Nominal.from_parameters(parameters)
     parts = [prepare(concealed(), nominal)]
     here = linearise_problem(nominal, parts)
-    step = 0.2 * np.eye(len(here.names))[here.names.index("thermal.time_constant")]
+    step = 0.2 * np.eye(len(here.constants))[here.column_of("thermal.time_constant")]
     there = linearise_problem(nominal, parts, shift=step, shapes=here.shapes)
     held = here.responses({}, step)  # the loops as they were
     taken_along = here.stack(there.nominal_responses, held)
@@ -149,8 +116,8 @@ def test_the_corrected_model_loads_and_follows_the_recording_better(creeping, tm
 
 
 def test_a_channel_that_an_effect_does_not_reach_says_nothing_against_it(creeping) -> None:
-    option = Option(creeping.final, creeping.chosen, (), 0.0)
-    judged = creeping.judged
+    option = Option(creeping.decision.final, creeping.decision.chosen, (), 0.0)
+    judged = creeping.decision.judged
     assert not _worsens(option, judged)
     for channel, harmed in ((TIP_DEFLECTION, True), (RESISTANCE, False)):
         worse = judged.before[channel] + 2.0 * judged.floor[channel]
@@ -158,7 +125,8 @@ def test_a_channel_that_an_effect_does_not_reach_says_nothing_against_it(creepin
 
 
 def test_shares_are_of_what_can_be_explained_where_the_base_hides_the_excess(creeping) -> None:
-    hidden = replace(creeping, total_excess=-0.1, excess=dict.fromkeys(creeping.excess, -0.1))
+    excess = dict.fromkeys(creeping.located.excess, -0.1)
+    hidden = replace(creeping, located=replace(creeping.located, total_excess=-0.1, excess=excess))
     for seen in (creeping, hidden):
         first, *others = assemble_diagnosis(seen).candidates
         assert first.id == "creep" and 0.97 < first.explained_share <= 1.0
@@ -170,7 +138,7 @@ def test_shares_are_of_what_can_be_explained_where_the_base_hides_the_excess(cre
 
 
 def test_the_energy_of_every_axis_adds_up_to_the_channels_excess(creeping) -> None:
-    for channel in creeping.breakdown:
+    for channel in creeping.decision.breakdown:
         for axis in ("time", "temperature", "amplitude", "branch", "reversals"):
             assert np.sum(channel.axes[axis][1]) == pytest.approx(channel.excess, rel=1e-6, abs=1e-6), axis
 
@@ -187,13 +155,15 @@ def test_a_share_as_large_as_is_physical_may_stand_for_two_effects() -> None:
     late = {"sensor_lag:tip_deflection": {"signal": TIP_DEFLECTION, "time_constant": 0.245}}
     both = concealed({**late, "phase_dependent_expansion": {"slope": 1.6e-8}}, device="peltier")
     seen = study([both], calibrated(device="peltier"))
-    best = seen.singles[0]
+    best = seen.search.singles[0]
     assert best.keys == ("creep",) and best.cornered and not best.at_bound
-    assert seen.chosen is not None
-    assert set(seen.chosen.keys) == {"sensor_lag:tip_deflection", "phase_dependent_expansion"}
-    assert seen.chosen.chi_square < best.chi_square - 100.0
-    assert len(seen.chosen.coordinates) < len(best.coordinates)
-    late_by = dict(zip(seen.chosen.keys, seen.chosen.values, strict=True))["sensor_lag:tip_deflection"]
+    assert seen.decision.chosen is not None
+    assert set(seen.decision.chosen.keys) == {"sensor_lag:tip_deflection", "phase_dependent_expansion"}
+    assert seen.decision.chosen.chi_square < best.chi_square - 100.0
+    assert len(seen.decision.chosen.coordinates) < len(best.coordinates)
+    late_by = dict(zip(seen.decision.chosen.keys, seen.decision.chosen.values, strict=True))[
+        "sensor_lag:tip_deflection"
+    ]
     assert late_by["time_constant"] == pytest.approx(0.245, rel=0.1)
 
 
@@ -229,8 +199,8 @@ def late_on_one_loop(parameters):
 def test_on_one_loop_what_is_found_has_rivals_and_an_experiment(late_on_one_loop) -> None:
     _, _, seen = late_on_one_loop
     answer = assemble_diagnosis(seen)
-    assert seen.one_loop and any("one and the same loop" in text for text in answer.limits)
-    rivals = {name for pair in seen.rival_pairs for name in pair}
+    assert seen.reading.one_loop and any("one and the same loop" in text for text in answer.limits)
+    rivals = {name for pair in seen.decision.rival_pairs for name in pair}
     assert {"clock_offset", "sensor_lag"} <= rivals
     assert answer.next_experiment is not None and answer.next_experiment.kind == "excitation"
     assert max(c.probability for c in answer.candidates) < 0.9
@@ -239,9 +209,9 @@ def test_on_one_loop_what_is_found_has_rivals_and_an_experiment(late_on_one_loop
 def test_with_another_recording_the_late_sensor_is_told(late_on_one_loop, parameters) -> None:
     late, loop, _ = late_on_one_loop
     seen = study([loop, concealed(late)], parameters)
-    assert not seen.one_loop
-    assert seen.chosen is not None and seen.chosen.keys == ("sensor_lag:film_resistance",)
-    assert seen.rival_pairs == ()
+    assert not seen.reading.one_loop
+    assert seen.decision.chosen is not None and seen.decision.chosen.keys == ("sensor_lag:film_resistance",)
+    assert seen.decision.rival_pairs == ()
 
 
 def test_a_light_that_stays_on_has_no_time_of_going_off(parameters) -> None:
@@ -312,12 +282,14 @@ def test_two_effects_are_found_together_the_larger_first(parameters) -> None:
         "leakage_resistance": {"conductance": 3e-7},
     }
     seen = study([concealed(both)], parameters)
-    alone = {e.hypotheses[0].record.id: e.gain for e in seen.singles}
+    alone = {e.hypotheses[0].record.id: e.gain for e in seen.search.singles}
     named = [e.id for e in assemble_diagnosis(seen).effects]
     assert named == sorted(both, key=lambda name: -alone[name])
-    assert seen.chosen is not None
-    turned = replace(seen.chosen, hypotheses=seen.chosen.hypotheses[::-1], values=seen.chosen.values[::-1])
-    assert [e.id for e in assemble_diagnosis(replace(seen, chosen=turned)).effects] == named
+    assert seen.decision.chosen is not None
+    chosen = seen.decision.chosen
+    turned = replace(chosen, hypotheses=chosen.hypotheses[::-1], values=chosen.values[::-1])
+    again = replace(seen, decision=replace(seen.decision, chosen=turned))
+    assert [e.id for e in assemble_diagnosis(again).effects] == named
 
 
 def test_a_coarser_converter_is_named_with_little_to_gain(parameters) -> None:
@@ -345,7 +317,7 @@ def test_the_recording_tells_which_transition_takes_up_the_heat(parameters, phas
     current = concealed()[HEATER_CURRENT]
     device = DeviceModel.from_parameters(parameters)
     changed = replace(device, effects={"latent_heat": {"latent": 15.0, "phase": phase}})
-    chosen = study([measured(changed.simulate(current, seed=3))], parameters).chosen
+    chosen = study([measured(changed.simulate(current, seed=3))], parameters).decision.chosen
     assert chosen is not None and chosen.keys == ("latent_heat",)
     assert chosen.values[0]["phase"] == phase
     assert chosen.values[0]["latent"] == pytest.approx(15.0, rel=0.05)
@@ -353,9 +325,10 @@ def test_the_recording_tells_which_transition_takes_up_the_heat(parameters, phas
 
 def test_a_light_that_is_always_on_is_told_as_a_constant(parameters) -> None:
     answer = diagnose([concealed({"laser_heating": {"rise": 0.5}})], parameters)
-    assert answer.verdict == "differs"
-    assert [e.id for e in answer.effects] == ["unknown"]
-    assert any("thermal.ambient" in text and "laser_heating" in text for text in answer.limits)
+    assert answer.verdict == "drifted" and answer.effects == []
+    assert answer.moved[0].constant == "thermal.ambient"
+    assert answer.moved[0].now - answer.moved[0].was == pytest.approx(0.5, abs=0.1)
+    assert any("laser_heating" in text for text in answer.limits)
     assert answer.next_experiment is not None and answer.next_experiment.kind == "manual"
     validate(answer.to_dict())
 
@@ -375,7 +348,8 @@ def test_a_steady_light_beside_a_drift_is_told_with_the_constant_that_hides_it(p
         [concealed({"ambient_drift": {"rate": 0.3}, "laser_heating": {"rise": 0.5}})], parameters
     )
     assert [e.id for e in answer.effects] == ["ambient_drift"]
-    assert any("thermal.ambient" in text and "laser_heating" in text for text in answer.limits)
+    assert "thermal.ambient" in [m.constant for m in answer.moved]
+    assert any("laser_heating" in text for text in answer.limits)
 
 
 def test_gaps_in_which_the_film_went_elsewhere_name_nothing(parameters) -> None:

@@ -8,19 +8,19 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from vo2_models.device import DeviceModel
 from vo2_models.device.coefficients import HUGE, Sensor, sensor_index
-from vo2_models.diagnosis.decide import Thresholds
+from vo2_models.diagnosis.breakdown import breakdown, locate
+from vo2_models.diagnosis.current_reading import as_commanded, between_samples, current_reading
 from vo2_models.diagnosis.explain import Explanation, fit_jointly, score, switched
 from vo2_models.diagnosis.hypotheses import MAGNITUDE_STEP, Hypothesis, hypotheses, windowed
-from vo2_models.diagnosis.locate import breakdown, locate
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of, rounded_with_noise
-from vo2_models.diagnosis.nuisance import Coverage, _block_covariance, coverage, thermal_spread
+from vo2_models.diagnosis.nuisance import Coverage, _block_covariance, constants_of, coverage
 from vo2_models.diagnosis.pairs import _untried
 from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.part import prepare
 from vo2_models.diagnosis.problem import QUICKEST, linearise_problem
 from vo2_models.diagnosis.propagate_correction import corrected_film, propagate_correction
-from vo2_models.diagnosis.reading import as_commanded, between_samples, current_reading
 from vo2_models.diagnosis.tangent import Tangent
 from vo2_models.effects import effects
 from vo2_models.hysteresis.play_bank import PlayBank
@@ -215,9 +215,9 @@ def test_switching_times_are_found_by_search() -> None:
 
 def test_no_residual_makes_the_device_much_quicker_than_it_was() -> None:
     problem = _changed({})
-    moved = problem.moved(np.full(len(problem.names), -1e3))
-    values, _ = thermal_spread(problem.nominal.model)
-    assert moved["thermal.time_constant"] == QUICKEST * values["thermal.time_constant"]
+    moved = problem.moved(np.full(len(problem.constants), -1e3))
+    before = {c.name: c.value for c in constants_of(problem.nominal)}
+    assert moved["thermal.time_constant"] == QUICKEST * before["thermal.time_constant"]
 
 
 def test_what_stays_on_is_never_switched_off() -> None:
@@ -406,8 +406,8 @@ def test_partners_that_nearly_reach_the_best_pair_are_tried_too() -> None:
     # the best leaves 1000: a quarter of it, and 5 sigma, is near
     qs = {"latent_heat": 2000.0, "dead_time": 2200.0, "heater_tcr": 2400.0}
     found = [pair(("creep", other), q) for other, q in qs.items()]
-    assert list(_untried(found, 1000, Thresholds())) == ["creep", "latent_heat", "dead_time"]
-    assert _untried([], 1000, Thresholds()) == {}
+    assert list(_untried(found, 1000, Limits())) == ["creep", "latent_heat", "dead_time"]
+    assert _untried([], 1000, Limits()) == {}
 
 
 def test_what_is_faster_than_the_samples_is_no_resonance() -> None:

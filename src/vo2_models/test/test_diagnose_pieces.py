@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from vo2_models.device import DeviceModel, preset
+from vo2_models.diagnosis.breakdown import one_loop, turning_points
 from vo2_models.diagnosis.check import Unusable, check_recording
-from vo2_models.diagnosis.decide import probabilities
-from vo2_models.diagnosis.locate import one_loop, turning_points
 from vo2_models.diagnosis.next_experiment import library
 from vo2_models.diagnosis.noise import NoiseModel, fit_noise, level_from_differences
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.part import regular, value_step
+from vo2_models.diagnosis.report import probabilities
 from vo2_models.diagnosis.result import SCHEMA, validate
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.recording import Recording
@@ -20,6 +20,7 @@ from vo2_models.recording import Recording
 ANSWER = {
     "schema": SCHEMA,
     "verdict": "differs",
+    "moved": [],
     "location": [
         {
             "signal": "film_resistance",
@@ -35,6 +36,7 @@ ANSWER = {
         {
             "id": "creep",
             "probability": 0.9,
+            "family": "structure",
             "statement": "words",
             "equation": "y = x",
             "parameters": {"share": {"value": 0.1, "std": 0.01, "unit": "1"}},
@@ -79,6 +81,8 @@ def test_a_valid_answer_passes() -> None:
         (("effects", 0, "parameters", "share", "std"), -1.0, "std"),
         (("candidates", 0, "probability"), 1.5, "probabilities"),
         (("fit", "film_resistance", "nrmse_after"), float("nan"), "nrmse_after"),
+        (("effects", 0, "family"), "weather", "family"),
+        (("moved",), [{"constant": "x", "was": 0.0, "is": 1.0, "std": -1.0}], "moved x"),
         (("schema",), "vo2-diagnosis/2", "schema"),
     ],
 )

@@ -12,14 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from vo2_models.diagnosis.check import Unusable
-    from vo2_models.diagnosis.pipeline import Study, diagnose, study
+    from vo2_models.diagnosis.pipeline import diagnose, study
     from vo2_models.diagnosis.result import Diagnosis, validate
+    from vo2_models.diagnosis.stages import Study
 
 __all__ = ["Diagnosis", "Study", "Unusable", "diagnose", "study", "validate"]
 
 _HOME = {
     "Diagnosis": "result",
-    "Study": "pipeline",
+    "Study": "stages",
     "Unusable": "check",
     "diagnose": "pipeline",
     "study": "pipeline",

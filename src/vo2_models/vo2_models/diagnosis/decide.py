@@ -1,264 +1,271 @@
-"""From fits to an answer: agrees, one or more named effects, rivals that cannot be told apart, or unknown.
-
-Thresholds are set on simulated devices of other seeds and another generator than those the reported rates
-come from; they are in `Thresholds`, each with what it guards against.
-"""
+"""Fourth stage: which explanation is adequate, judged on held-out blocks; else what cannot be named."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.diagnosis.explain import Explanation, fit_jointly
+from vo2_models.device.coefficients import HUGE
+from vo2_models.diagnosis.breakdown import Breakdown, breakdown
+from vo2_models.diagnosis.drift import Drift, drift_of
+from vo2_models.diagnosis.explain import Explanation, Score, score
+from vo2_models.diagnosis.held_out import HeldOut, block_folds, held_out
 from vo2_models.diagnosis.hypotheses import Hypothesis
-from vo2_models.diagnosis.parallel import parallel_map
+from vo2_models.diagnosis.limits import Limits
+from vo2_models.diagnosis.locate import Located
+from vo2_models.diagnosis.next_experiment import by_hand, propose
+from vo2_models.diagnosis.nonparametric_correction import (
+    NonparametricCorrection,
+    fit_nonparametric_correction,
+)
+from vo2_models.diagnosis.pairs import Option, bend, trace
 from vo2_models.diagnosis.problem import LinearisedProblem
+from vo2_models.diagnosis.progress import Clock
+from vo2_models.diagnosis.result import NextExperiment
+from vo2_models.diagnosis.search import Search, completeness
 
-__all__ = ["HeldOut", "Thresholds", "block_folds", "held_out", "probabilities"]
+__all__ = ["Decision", "decide"]
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Thresholds:
-    """When an answer is given.
+class Decision:
+    """The answer with its evidence.
 
     Attributes
     ----------
-    gain : least drop of chi-square of a named effect; on some fifty recordings without effect whose drop was looked at,
-        the largest drop was 329
-    evident_gain : the same of an effect that the values show by themselves, as those of a coarse converter do
-    sigmas : least distance of a magnitude from neutral, in its standard deviations
-    slack : residual power beyond the noise, in noise powers, that unchanged devices show too
-    complete : share of the excess beyond that which names must explain together, else "unknown" is the answer
-    complete_rivalled : the same for a single name where another effect alone explains more than...
-    dominated : ... this share of what it does: an equation that is a little off has no rival
-    complete_pair : the same for two names: two wrong ones together fit much...
-    complete_matched : ... unless no other pair with one of the two explains half of what the other adds
-    share : least share of a name's gain that must show on held-out blocks, and of the excess that an unnamed
-        correction must remove there
-    second : a second effect explains at least this share of what the first leaves over...
-    second_of_all : ... and this share of the excess of the channels where it acts
-    thorough : from this share of what is left over on, the next two do not matter: no wrong equation leaves so little
-    second_cosine : ... and its pattern has at most this cosine with the first's: an equation that is a little off leaves
-        something like itself
-    excess, channel_excess : where nothing is named, a recording differs if the residual's power exceeds the noise
-        by this much, or a single channel's by that
-    plain : excess below which a residual that nothing predicts on held-out blocks is taken for noise or misfit
-    rival : rivals within this difference of chi-square (5 sigma) are not told apart; on one loop every effect is a rival that is
-        not `dominated`, as an error in the loop's shape looks like any of them
-    apart : difference of chi-square (10 sigma) to every other effect with which one is named that constants could
-        stand for
-    tie : pairs within this share of what the best leaves over are equally good: the one with fewer parameters is named
-    constants_chi_square : squared move of the thermal parameters, in their standard deviations, from which a recording
-        differs by a constant even if no effect saves a name's gain; of some hundred unchanged devices none moved half as far
-    constants_reported : the same from which it is told beside a verdict
-    temper : how many times more the likelihood ratio must be than white noise would need
-    temper_on_one_loop : the same there, as a share of what the best effect explains
+    verdict : agrees; drifted, where moved constants are all; differs
+    final : the problem about the best explanation (without effects where there is none)
+    chosen : what is named, None for nothing
+    judged : held-out quality of `chosen` (or of the nuisance model alone)
+    rivals : explanations with one effect replaced, best first
+    remaining_excess : excess power over noise power that the best option leaves
+    unnamed : correction without a name, None where not needed
+    breakdown : where a named effect acts, else where more than noise is left
+    rival_pairs : named effect, rival that the recordings do not separate from it
+    proposal : what to record next
+    drift : how far the constants have moved beside what is named
+    mimics : effects that would look like that move, best first; none where it is small
     """
 
-    gain: float = 400.0
-    evident_gain: float = 25.0
-    sigmas: float = 4.0
-    slack: float = 0.12
-    complete: float = 0.75
-    complete_rivalled: float = 0.9
-    dominated: float = 0.5
-    complete_pair: float = 0.95
-    complete_matched: float = 0.8
-    share: float = 0.25
-    second: float = 0.55
-    second_of_all: float = 0.005
-    thorough: float = 0.85
-    second_cosine: float = 0.25
-    excess: float = 0.25
-    channel_excess: float = 0.4
-    plain: float = 0.4
-    rival: float = 25.0
-    apart: float = 100.0
-    tie: float = 0.02
-    constants_chi_square: float = 100.0
-    constants_reported: float = 40.0
-    temper: float = 8.0
-    temper_on_one_loop: float = 0.1
-
-    def least(self, hypothesis: Hypothesis) -> float:
-        """Least drop of chi-square with which a hypothesis is named."""
-        return self.evident_gain if hypothesis.evident else self.gain
+    verdict: Literal["agrees", "drifted", "differs"]
+    final: LinearisedProblem
+    chosen: Explanation | None
+    judged: HeldOut
+    rivals: tuple[Explanation, ...]
+    remaining_excess: float
+    unnamed: NonparametricCorrection | None
+    breakdown: tuple[Breakdown, ...]
+    rival_pairs: tuple[tuple[str, str], ...]
+    proposal: NextExperiment | None
+    drift: Drift
+    mimics: tuple[Hypothesis, ...]
 
 
 @dataclass(frozen=True)
-class HeldOut:
-    """How an explanation does on blocks it was not fitted on.
+class _Verdict:
+    """The first option that is admissible, or the nuisance model alone."""
 
-    Attributes
-    ----------
-    share : of the excess explained
-    drop : of chi-square of the held-out blocks, given the others
-    before, after, floor : channel -> root mean square in judged units: nominal simulation, explained, noise
-    spread : largest relative spread of a parameter over the folds, in standard deviations of the fit
-    stable : whether every fold agrees in sign and within a factor of two on every magnitude
-    """
-
-    share: float
-    drop: float
-    before: dict[str, float]
-    after: dict[str, float]
-    floor: dict[str, float]
-    stable: bool
+    option: Option | None
+    judged: HeldOut
+    rivals: tuple[Explanation, ...]
+    remaining: float
 
 
-def block_folds(problem: LinearisedProblem, *, blocks: int = 20) -> list[NDArray[np.bool_]]:
-    """Two folds of alternating long blocks, each (N,) True where a sample is held out."""
-    odd = np.zeros(problem.weight.size, dtype=bool)
-    for row, part, _ in problem.iterate():
-        place = np.arange(part.size) * blocks // part.size
-        odd[row.where] = place % 2 == 1
-    return [odd, ~odd]
+def decide(located: Located, found: Search, limits: Limits, clock: Clock, *, one_loop: bool) -> Decision:
+    """Judge the options on held-out blocks; name the first that is adequate, else describe what has no name."""
+    clock.say("judging on held-out blocks")
+    verdict = _judged(located, found, limits, clock)
+    if verdict.option is not None:
+        return _named(located, found, verdict, verdict.option, limits, clock, one_loop=one_loop)
+    return _unnamed(located, found, verdict, limits, clock)
 
 
-def held_out(
-    problem: LinearisedProblem,
-    explanation: Explanation | None,
+def _judged(located: Located, found: Search, limits: Limits, clock: Clock) -> _Verdict:
+    """The first admissible option, with its held-out quality."""
+    problem = located.problem
+    rivals, remaining = found.singles, located.total_excess
+    for option in found.options:
+        judged = held_out(option.final, option.chosen, reference=problem, tick=clock.tick)
+        shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
+        admissible = _is_admissible(option, judged, found.singles, problem, limits)
+        rivals, remaining = option.rivals, option.remaining
+        hidden = admissible and found.hidden
+        if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
+            return _Verdict(option, judged, rivals, remaining)
+    return _Verdict(None, held_out(problem, None), rivals, remaining)
+
+
+def _named(
+    located: Located,
+    found: Search,
+    verdict: _Verdict,
+    option: Option,
+    limits: Limits,
+    clock: Clock,
     *,
-    reference: LinearisedProblem | None = None,
-    folds: Sequence[NDArray[np.bool_]] | None = None,
-    tick: Callable[[], None] = lambda: None,
-) -> HeldOut:
-    """Fit on one half of the blocks, judge on the other, both ways.
+    one_loop: bool,
+) -> Decision:
+    """What is named, where it acts, what could stand in its place, and what would tell them apart."""
+    final, chosen = option.final, option.chosen
+    pairs = _rival_pairs(chosen, verdict.rivals, verdict.remaining, limits, one_loop=one_loop)
+    proposal = None
+    if pairs:
+        clock.say("designing the next experiment")
+        rival = next(r for r in verdict.rivals if pairs[0][1] in (h.record.id for h in r.hypotheses))
+        proposal = propose(
+            located.problem, located.nominal, chosen, rival, limits, names=pairs[0], say=clock.say
+        )
+    residual = final.residual - chosen.deviation
+    drift = drift_of(final, residual)
+    mimics: tuple[Hypothesis, ...] = ()
+    if drift.significant(limits.drift_p):
+        others = [h for h in found.candidates if h.key not in chosen.keys]
+        mimics = _mimics_of_constants(score(final, others, residual, tick=clock.tick), limits)
+    return Decision(
+        verdict="differs", final=final, chosen=chosen, judged=verdict.judged, rivals=verdict.rivals,
+        remaining_excess=verdict.remaining, unnamed=None,
+        breakdown=tuple(breakdown(final, trace(final), floor=0.0)), rival_pairs=tuple(pairs), proposal=proposal,
+        drift=drift, mimics=mimics,
+    )  # fmt: skip
 
-    Parameters
-    ----------
-    problem : the problem, about the explanation where there is one
-    explanation : what is judged; None judges the nuisance model alone
-    reference : the problem about the nominal simulation, which the gain is told against
-    folds : held-out masks; two of alternating long blocks by default
-    tick : called once per simulation
-    """
-    nominal = problem if reference is None else reference
-    temperature = np.empty(nominal.weight.size)
-    for row, _, response in nominal.iterate():
-        temperature[row.where] = response.temperature
 
-    def reached(training: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Where the training blocks have been: at other temperatures nothing was fitted that could be judged."""
-        seen = temperature[training & (nominal.weight > 0)]
-        return np.asarray((temperature > seen.min() - 0.5) & (temperature < seen.max() + 0.5))
+def _unnamed(located: Located, found: Search, verdict: _Verdict, limits: Limits, clock: Clock) -> Decision:
+    """No name: agreement, moved constants, or an excess that only a correction without a name describes."""
+    problem, unnamed = located.problem, None
+    loud = located.total_excess > limits.excess or max(located.excess.values()) > limits.channel_excess
+    if loud:
+        clock.say("shaping what has no name")
+        unnamed = fit_nonparametric_correction(problem, located.remaining, block_folds(problem))
+    verdict_word: Literal["agrees", "drifted", "differs"] = "differs"
+    where, proposal = located.breakdown, None
+    drift = drift_of(problem, problem.residual)
+    mimics: tuple[Hypothesis, ...] = ()
+    if unnamed is None or (unnamed.share < limits.share and located.total_excess < limits.plain):
+        # more residual than noise at most, and nothing in it that predicts anything
+        unnamed, verdict_word = None, "agrees"
+        if drift.significant(limits.drift_p):
+            verdict_word = "drifted"
+            mimics = _mimics_of_constants(found.scores, limits, found.singles)
+            where = tuple(breakdown(problem, problem.nuisance.thermal @ drift.weights, floor=0.0))
+            proposal = by_hand(mimics)
+    return Decision(
+        verdict=verdict_word, final=problem, chosen=None, judged=verdict.judged, rivals=verdict.rivals,
+        remaining_excess=verdict.remaining, unnamed=unnamed, breakdown=where, rival_pairs=(), proposal=proposal,
+        drift=drift, mimics=mimics,
+    )  # fmt: skip
 
-    q_nominal = nominal.chi_square(nominal.residual)
-    before_energy = after_energy = 0.0
-    count = 0
-    squares: dict[str, dict[str, float]] = {"before": {}, "after": {}}
-    numbers: dict[str, int] = {}
-    estimates = []
-    masks = list(folds or block_folds(problem))
 
-    def trained(held: NDArray[np.bool_]) -> tuple[LinearisedProblem, Explanation | None]:
-        training = problem.restricted(~held)
-        if explanation is None:
-            return training, None
-        hypotheses, values = explanation.hypotheses, explanation.values
-        return training, fit_jointly(training, hypotheses, values, iterations=3, tick=tick)
+def _mimics_of_constants(
+    scores: Sequence[Score], limits: Limits, singles: Sequence[Explanation] = ()
+) -> tuple[Hypothesis, ...]:
+    """Effects that save at least half as much of a move of the nuisance model as the best of them does, best first."""
+    gains: dict[str, tuple[float, Hypothesis]] = {}
+    found = [(s.gain, s.hypothesis) for s in scores] + [(e.gain, e.hypotheses[0]) for e in singles]
+    for gain, hypothesis in sorted(found, key=lambda item: -item[0]):
+        gains.setdefault(hypothesis.record.id, (gain, hypothesis))
+    best = max((gain for gain, _ in gains.values()), default=0.0)
+    return tuple(h for gain, h in gains.values() if gain > max(0.5 * best, limits.faint))[:4]
 
-    for held, (training, fitted) in zip(masks, parallel_map(trained, masks), strict=True):
-        change = np.zeros(problem.weight.size)
-        if fitted is not None:
-            estimates.append(fitted.values)
-            change = problem.deviation(fitted.effects, fitted.shift)
-        weights = training.fit_nuisance(training.residual - np.where(held, 0.0, change))
-        plainly = nominal.restricted(~held)
-        rest = problem.residual - change
-        with_it = rest - problem.nuisance.times(weights)
-        use = held & (problem.weight > 0) & reached(~held)
-        # chi-square of all minus that of the training blocks: how unlikely the held-out blocks are, given the others
-        before_energy += q_nominal - plainly.chi_square(plainly.residual)
-        after_energy += problem.chi_square(rest) - training.chi_square(np.where(held, 0.0, rest))
-        count += int(np.count_nonzero(use))
-        for row in problem.rows:
-            some = use[row.where]
-            noise = problem.nominal.noise[row.channel]
-            weight = np.where(problem.weight[row.where] > 0, problem.weight[row.where], 1.0)
-            for name, vector in (("before", nominal.residual), ("after", with_it)):
-                plain = noise.color(vector[row.where] / weight)
-                squares[name][row.channel] = squares[name].get(row.channel, 0.0) + float(
-                    np.sum(plain[some] ** 2)
-                )
-            numbers[row.channel] = numbers.get(row.channel, 0) + int(np.count_nonzero(some))
-    excess = before_energy - count
-    share = (before_energy - after_energy) / excess if excess > 0 else 0.0
-    root = {
-        name: {c: float(np.sqrt(v / max(numbers[c], 1))) for c, v in by.items()}
-        for name, by in squares.items()
-    }
-    floor = {c: problem.nominal.noise[c].level for c in numbers}
-    return HeldOut(
-        share,
-        before_energy - after_energy,
-        root["before"],
-        root["after"],
-        floor,
-        _stable(problem, explanation, estimates),
+
+def _is_admissible(
+    option: Option,
+    judged: HeldOut,
+    singles: Sequence[Explanation],
+    problem: LinearisedProblem,
+    limits: Limits,
+) -> bool:
+    """Whether an explanation is significant, stable, complete, inside its physical bounds, and harms no channel."""
+    chosen = option.chosen
+    alone = len(chosen.keys) == 1 and not _dominates(chosen, singles, limits)
+    needed = limits.complete_rivalled if alone else limits.complete
+    return (
+        _significant(chosen, limits)
+        and judged.stable
+        and completeness(chosen, option.remaining, problem, limits) >= needed
+        and not chosen.at_bound
+        and not _worsens(option, judged)
+        and not _bends(option, limits)
     )
 
 
-def _stable(
-    problem: LinearisedProblem,
-    explanation: Explanation | None,
-    estimates: Sequence[Sequence[dict[str, float]]],
-) -> bool:
-    """Whether both folds find that every effect does the same, within a factor of two and a half in size."""
-    if explanation is None or len(estimates) < 2:
-        return True
-    plain = replace(problem, included={})
-    for index, hypothesis in enumerate(explanation.hypotheses):
-        fitted = [n for n in explanation.values[index] if n not in hypothesis.choices]
-        free = [n for n in fitted if not hypothesis.logarithmic(n)]
-        shaped = len(fitted) - len(free)
-        if free and not shaped:
-            name = max(free, key=lambda n: abs(explanation.values[index][n]) / hypothesis.scales[n])
-            first, second = (fold[index][name] for fold in estimates)
-            if first * second <= 0 or not 0.4 < first / second < 2.5:
-                return False
-            continue
-        # a magnitude means little without its shape: compare what the effect does
-        without = plain.responses({})
-        one, other = (
-            problem.stack(plain.responses(hypothesis.effects(fold[index])), without) for fold in estimates
+def _worsens(option: Option, judged: HeldOut) -> bool:
+    """Whether a channel that an explanation reaches is predicted worse with it than without, by more than its noise."""
+    acting = trace(option.final)
+    reached = {row.channel for row in option.final.rows if float(np.sum(acting[row.where] ** 2)) > 1.0}
+    return any(judged.after[c] > judged.before[c] + judged.floor[c] for c in reached)
+
+
+def _bends(option: Option, limits: Limits) -> bool:
+    """Whether what is named as straight in time leaves a bend that would count as a second effect."""
+    leftover = option.final.count * max(option.remaining, 0.0)
+    return bend(option) > max(limits.gain, limits.second * leftover)
+
+
+def _dominates(chosen: Explanation, singles: Sequence[Explanation], limits: Limits) -> bool:
+    """Whether no other effect alone comes near the one that is chosen."""
+    own = chosen.hypotheses[0].record.id
+    alone = max((e.gain for e in singles if e.hypotheses[0].record.id == own), default=chosen.gain)
+    others = [e.gain for e in singles if e.hypotheses[0].record.id != own]
+    return max(others, default=0.0) < limits.dominated * alone
+
+
+def _stands_for_constants(option: Option, singles: Sequence[Explanation], limits: Limits) -> bool:
+    """Whether a change that the nuisance model could take up by its constants is what one effect is, and no other.
+
+    On held-out blocks such an effect gains nothing, as the constants are moved there too. What tells is how far they
+    would have to move from the calibration: a dead time that has doubled is named, a gain that many effects mimic is not.
+    """
+    chosen = option.chosen
+    own = chosen.hypotheses[0].record.id
+    others = [e.gain for e in singles if e.hypotheses[0].record.id != own]
+    return len(chosen.keys) == 1 and chosen.gain - max(others, default=0.0) > limits.apart
+
+
+def _significant(explanation: Explanation, limits: Limits) -> bool:
+    """Whether the magnitudes of every effect are told from nothing by several standard deviations, together."""
+    return all(
+        explanation.distance(index) >= limits.sigmas
+        for index, hypothesis in enumerate(explanation.hypotheses)
+        if hypothesis.magnitudes
+    ) and all(
+        explanation.std(index, name)
+        < limits.switching * abs(values[hypothesis.switches[-1]] - values[hypothesis.switches[0]])
+        for index, (hypothesis, values) in enumerate(
+            zip(explanation.hypotheses, explanation.values, strict=True)
         )
-        # as it is, or what of it the nuisance model cannot take up: of a mode's slow heat that may have any part
-        beyond = [problem.apply_inverse_covariance(each) for each in (one, other)]
-        if not (_agree(one, other, one, other) or _agree(one, other, *beyond)):
-            return False
-    return True
+        for name in hypothesis.switches
+        if abs(values.get(name, np.inf)) < HUGE and len(hypothesis.switches) == 2
+    )
 
 
-def _agree(one: Floats, other: Floats, left_one: Floats, left_other: Floats) -> bool:
-    """Whether two whitened changes (N,) agree in pattern and within a factor of two and a half in size.
-
-    `left_one`, `left_other` : what is left of them where something else may take up a part.
-    """
-    own, others = float(one @ left_one), float(other @ left_other)
-    if own <= 0 or others <= 0:
-        return False
-    return bool(one @ left_other >= 0.7 * np.sqrt(own * others) and 0.16 < own / others < 6.25)
-
-
-def probabilities(
-    chi_squares: Sequence[float], parameters: Sequence[int], *, count: int, temper: float
-) -> Floats:
-    """Posterior probabilities of rivals from chi-square and the number of parameters, tempered for what that does not know.
-
-    Parameters
-    ----------
-    chi_squares : of each
-    parameters : number of fitted parameters of each; each costs log(count)
-    count : number of samples
-    temper : divides the log likelihood ratios
-    """
-    score = np.array([-0.5 * (q + p * np.log(count)) for q, p in zip(chi_squares, parameters, strict=True)])
-    score = (score - np.max(score)) / temper
-    weight = np.exp(score)
-    return np.asarray(weight / np.sum(weight))
+def _rival_pairs(
+    chosen: Explanation | None,
+    rivals: Sequence[Explanation],
+    remaining: float,
+    limits: Limits,
+    *,
+    one_loop: bool,
+) -> list[tuple[str, str]]:
+    """Effects that fit as well as a named one, within what the data can tell."""
+    if chosen is None:
+        return []
+    reference = next((r for r in rivals if set(r.keys) == set(chosen.keys)), chosen)
+    limit = limits.rival * (1.0 + max(remaining, 0.0))
+    if one_loop and len(chosen.keys) == 1:
+        limit = max(limit, (1.0 - limits.dominated) * reference.gain)
+    pairs: list[tuple[str, str]] = []
+    for rival in rivals:
+        ours = [k.split(":")[0] for k in chosen.keys if k not in rival.keys]
+        theirs = [k.split(":")[0] for k in rival.keys if k not in chosen.keys]
+        close = rival.chi_square - reference.chi_square < limit and not rival.at_bound
+        if len(rival.keys) == len(chosen.keys) and len(ours) == 1 and close and ours != theirs:
+            pair = (ours[0], theirs[0])
+            if pair not in pairs:
+                pairs.append(pair)
+    return pairs

@@ -346,7 +346,7 @@ def fit_jointly(
     values, change, chi = descent.descend(values, shift, iterations)
     for _ in range(2):
         moved = problem.fit_nuisance(problem.residual - change)[-shift.size :] if shift.size else shift
-        if not shift.size or np.max(np.abs(moved - shift)) < 1.0:
+        if not shift.size or problem.curved(moved - shift) < 1.0:
             break
         tangent = descent.tangent
         trial = descent.descend(values, moved, 4)

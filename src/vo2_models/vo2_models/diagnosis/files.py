@@ -6,11 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from vo2_models.diagnosis.assemble_diagnosis import assemble_diagnosis
+import numpy as np
+
 from vo2_models.diagnosis.nominal import THERMAL
-from vo2_models.diagnosis.pipeline import Study
-from vo2_models.diagnosis.report import report_page
+from vo2_models.diagnosis.page import report_page
+from vo2_models.diagnosis.report import assemble_diagnosis
 from vo2_models.diagnosis.result import Diagnosis, validate
+from vo2_models.diagnosis.stages import Study
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.io import write_whole
 from vo2_models.model_file import save_model_parameters
 from vo2_models.parameters import Value
@@ -19,16 +22,32 @@ __all__ = ["corrected_parameters", "write_results"]
 
 
 def corrected_parameters(study: Study) -> dict[str, Value]:
-    """Return the model's parameters with the named effects added (none, and it is the model itself)."""
-    flat = dict(study.nominal.parameters)
-    if study.chosen is None:
+    """Return the model's parameters with named effects and moved constants (none of them, and it is the model itself)."""
+    flat, decision = dict(study.located.nominal.parameters), study.decision
+    if decision.verdict == "agrees":
         return flat
-    effects = {**study.nominal.model.effects, **study.chosen.effects}
-    model = replace(study.nominal.model, effects=effects)
-    flat |= model.to_parameters()
-    moved = study.final.moved(study.chosen.shift)
-    flat |= {f"model.{name}": float(value) for name, value in moved.items() if name in THERMAL}
-    return flat
+    model = study.located.nominal.model
+    chosen = decision.chosen.effects if decision.chosen else {}
+    values = decision.final.moved(decision.drift.weights)
+    zero, gain = values.get("deflection.zero", 0.0), values.get("deflection.gain", 1.0)
+    model = replace(
+        model,
+        effects={**model.effects, **chosen},
+        scalars={**model.scalars, **{name: values[name] for name in THERMAL if name in values}},
+        deflection=_scaled(model.deflection, gain, zero),
+        # the law is that of -log10 R
+        resistance=_scaled(model.resistance, 1.0, -float(np.log10(values.get("resistance.gain", 1.0)))),
+    )
+    return flat | model.to_parameters()
+
+
+def _scaled(bank: PlayBank, gain: float, zero: float) -> PlayBank:
+    """The law gain y + zero, zero in the output's unit."""
+    if not bank.present:
+        return bank
+    polynomial = gain * np.asarray(bank.polynomial)
+    polynomial[0] += zero
+    return replace(bank, weights=gain * np.asarray(bank.weights), polynomial=polynomial)
 
 
 def write_results(
@@ -50,10 +69,11 @@ def write_results(
     # nothing is written before everything is known to be sound
     validate(diagnosis.to_dict())
     names = ", ".join(e.id for e in diagnosis.effects) or "none"
+    moved = ", ".join(m.constant for m in diagnosis.moved) or "none"
     save_model_parameters(
         folder / "corrected_model.yaml",
         corrected,
-        comment=f"Effects added by diagnose: {names}",
+        comment=f"Effects added by diagnose: {names}; constants moved: {moved}",
     )
     write_whole(folder / "report.html", report)
     diagnosis.save(folder / "diagnosis.json")

@@ -1,255 +1,126 @@
-"""Where the excess residual sits: channel, time, branch, temperature, frequency, amplitude and reversal order."""
+"""Second stage: what neither noise nor nuisance parameters explain, and where it is."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
 
-from vo2_models.device import surrogate_of_temperature
-from vo2_models.diagnosis.problem import LinearisedProblem
-from vo2_models.diagnosis.result import Location
-from vo2_models.numerics.kernel import kernel
+from vo2_models.diagnosis.breakdown import Breakdown, breakdown
+from vo2_models.diagnosis.limits import Limits
+from vo2_models.diagnosis.noise import fit_noise
+from vo2_models.diagnosis.nominal import Nominal
+from vo2_models.diagnosis.nuisance import loop_shapes
+from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
+from vo2_models.diagnosis.progress import Clock
+from vo2_models.diagnosis.read import Reading
 
-__all__ = ["Breakdown", "breakdown", "locate", "one_loop", "turning_points"]
+__all__ = ["Located", "locate"]
 
 Floats = NDArray[np.float64]
-BLOCKS = 40
-"""Pieces of a recording in which the energy over time is told."""
-MOVES = 0.02
-"""Rate of temperature, of that of the fastest twentieth, below which a sample is at rest: settling is no branch."""
-CROSSES, APART = 0.5, 0.05
-"""Shares of the range of temperatures: what counts as crossing it, and turning points that are two."""
-LEVELS, RATES = 5, 3.0
-"""From so many turning temperatures, or so many times the slowest crossing's rate, on it is more than one loop."""
-ONE_BRANCH = 4.0
-"""So many times the energy per sample of the other branch must one have to be the place."""
 
 
 @dataclass(frozen=True)
-class Breakdown:
-    """Excess energy of one channel (residual energy minus noise floor), along several axes.
-
-    Every axis holds the same total: `energy` sums over bins to `excess` of the channel.
+class Located:
+    """The problem without effects, and where its excess is.
 
     Attributes
     ----------
-    channel : name
-    excess : excess energy, in units of the noise power
-    floor : energy that noise alone has, the same
-    moving : samples that count while heating, and while cooling
-    axes : axis -> (edges (b + 1,) or labels, energy (b,)); axes are time, branch, temperature, amplitude,
-        reversals, frequency
+    nominal : fitted simulation, its noise that of the recordings where they show it
+    problem : linearised about the nominal simulation, or about where its nuisance parameters are best
+    remaining : (N,) whitened residual after the nuisance model
+    excess : channel -> excess power over noise power, nuisance parameters refitted
+    total_excess : the same of all channels
+    breakdown : where the excess is
     """
 
-    channel: str
-    excess: float
-    floor: float
-    moving: tuple[int, int]
-    axes: Mapping[str, tuple[Sequence[float] | Sequence[str], Floats]]
+    nominal: Nominal
+    problem: LinearisedProblem
+    remaining: Floats
+    excess: Mapping[str, float]
+    total_excess: float
+    breakdown: tuple[Breakdown, ...]
 
 
-def breakdown(problem: LinearisedProblem, residual: Floats, *, floor: float = 1.0) -> list[Breakdown]:
-    """Split the excess energy of a whitened residual (N,) along every axis, channel by channel.
-
-    Energy is that of the residual itself over the channel's noise power: of the innovations, a channel whose noise is
-    slow would seem to have less of a slow excess than it has. A sample counts by its weight. Only the spectrum is that
-    of the innovations, above whose flat floor a line stands out.
-
-    Parameters
-    ----------
-    problem : the problem
-    residual : (N,) whitened, what is split
-    floor : energy per sample that is noise: 1 for a residual, 0 for what a model says
-    """
-    found = []
-    for channel in dict.fromkeys(row.channel for row in problem.rows):
-        pieces: dict[str, list[NDArray]] = {
-            k: [] for k in ("energy", "time", "heating", "temperature", "amplitude", "order")
-        }
-        spectrum: Floats | None = None
-        frequencies = np.zeros(0)
-        offset = 0.0
-        for row, part, response in problem.iterate():
-            if row.channel != channel:
-                continue
-            e, w = residual[row.where], problem.weight[row.where]
-            counts, noise = w > 0, problem.nominal.noise[channel]
-            plain = noise.color(e / np.where(counts, w, 1.0)) / noise.level
-            energy = np.where(counts, (w * plain) ** 2 - floor, 0.0)
-            direction, amplitude, order = _history(response.temperature)
-            pieces["energy"].append(energy)
-            pieces["time"].append(part.time_s - part.time_s[0] + offset)
-            pieces["heating"].append(direction)
-            pieces["temperature"].append(response.temperature)
-            pieces["amplitude"].append(amplitude)
-            pieces["order"].append(order)
-            offset += part.time_s[-1] - part.time_s[0] + part.dt
-            frequency, power = welch(e, fs=1.0 / part.dt, nperseg=min(1024, part.size), detrend=False)
-            share = power / max(float(np.sum(power)), 1e-300) * float(np.sum(e**2))
-            above = np.maximum(share - floor * np.count_nonzero(w) / power.size, 0.0)
-            if spectrum is None:
-                spectrum, frequencies = above, frequency
-            else:
-                spectrum = spectrum + np.interp(frequencies, frequency, above)
-        assert spectrum is not None
-        joined = {k: np.concatenate(v) for k, v in pieces.items()}
-        energy = joined["energy"]
-        total = float(np.sum(energy))
-        scale = total / max(float(np.sum(spectrum)), 1e-300)
-        axes: dict[str, tuple[Sequence[float] | Sequence[str], Floats]] = {
-            "time": _binned(joined["time"], energy, BLOCKS),
-            "temperature": _binned(joined["temperature"], energy, 24),
-            "amplitude": _binned(joined["amplitude"], energy, 12),
-            "branch": (
-                ("heating", "cooling", "held"),
-                np.array([np.sum(energy[joined["heating"] == s]) for s in (1, -1, 0)]),
-            ),
-            "reversals": (
-                ("major", "1", "2", "3", "4 and more"),
-                np.array([np.sum(energy[np.minimum(joined["order"], 4) == k]) for k in range(5)]),
-            ),
-            "frequency": (frequencies.tolist(), spectrum * max(scale, 0.0)),
-        }
-        heating, cooling = (int(np.count_nonzero(energy[joined["heating"] == s])) for s in (1, -1))
-        found.append(Breakdown(channel, total, float(np.count_nonzero(energy)), (heating, cooling), axes))
-    return found
+def locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
+    """Build the problem, refit its nuisance parameters, and split what is left along every axis."""
+    nominal = reading.nominal
+    problem = linearise_problem(nominal, reading.parts, shapes=reading.shapes, say=clock.say)
+    problem = _relinearise_constants(nominal, problem, clock)
+    nominal, problem = _refine_noise_model(nominal, problem, limits, clock)
+    problem = _relinearise_constants(nominal, problem, clock)
+    remaining = problem.apply_inverse_covariance(problem.residual)
+    excess, total = _excess(problem, remaining, problem.residual_chi_square)
+    return Located(nominal, problem, remaining, excess, total, tuple(breakdown(problem, remaining)))
 
 
-def _binned(x: Floats, energy: Floats, bins: int) -> tuple[list[float], Floats]:
-    edges = np.linspace(float(np.min(x)), float(np.max(x)) + 1e-12, bins + 1)
-    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, bins - 1)
-    return edges.tolist(), np.asarray(np.bincount(place, weights=energy, minlength=bins), dtype=np.float64)
-
-
-def _history(temperature: Floats) -> tuple[NDArray[np.int64], Floats, NDArray[np.int64]]:
-    """Direction (+1, -1, 0 at rest), distance from the last turning point [K], and open reversals, per sample."""
-    last, _, order = _turns(np.ascontiguousarray(temperature), 1e-3 * max(float(np.ptp(temperature)), 1e-9))
-    rate = np.gradient(temperature)
-    moves = np.abs(rate) > MOVES * np.quantile(np.abs(rate), 0.95)
-    return np.where(moves, np.sign(rate), 0.0).astype(np.int64), np.abs(temperature - last), order
-
-
-def one_loop(paths: Sequence[Floats], periods: Sequence[float]) -> bool:
-    """Whether these paths of the film, (n,) [degC] each with its sampling period [s], are one and the same loop.
-
-    They are where they turn at fewer than `LEVELS` temperatures and no crossing of the range is `RATES` times as fast as
-    another: there is one history then, and an error in the loop's shape, a lag and a drift can hardly be told apart.
-    """
-    low, high = (float(end(np.concatenate(paths))) for end in (np.min, np.max))
-    span = max(high - low, 1e-9)
-    turns: list[float] = []
-    rates: list[float] = []
-    for path, period in zip(paths, periods, strict=True):
-        last = turning_points(path)[0]
-        rate = np.abs(np.gradient(path)) / period
-        inside = np.abs(path - 0.5 * (low + high)) < 0.5 * CROSSES * span
-        for piece in np.split(np.arange(path.size), np.flatnonzero(np.diff(last)) + 1):
-            level = float(last[piece[0]])
-            if all(abs(level - other) > APART * span for other in turns):
-                turns.append(level)
-            if np.ptp(path[piece]) > CROSSES * span and np.any(inside[piece]):
-                rates.append(float(np.median(rate[piece][inside[piece]])))
-    return len(turns) < LEVELS and max(rates, default=0.0) <= RATES * min(rates, default=0.0)
-
-
-def turning_points(temperature: Floats) -> tuple[Floats, Floats]:
-    """Last turning point, and the one that is still remembered before it, per sample (n,) [degC]."""
-    last, before, _ = _turns(np.ascontiguousarray(temperature), 1e-3 * max(float(np.ptp(temperature)), 1e-9))
-    return last, before
-
-
-@kernel(nogil=True)
-def _turns(temperature, dead):
-    n = temperature.size
-    last = np.empty(n)
-    before = np.empty(n)
-    order = np.zeros(n, np.int64)
-    turns = np.empty(64)
-    turns[0] = temperature[0]
-    depth = 1
-    extreme = temperature[0]
-    going = 0
-    for k in range(n):
-        x = temperature[k]
-        if going == 0:
-            if abs(x - turns[0]) > dead:
-                going = 1 if x > turns[0] else -1
-                extreme = x
-        elif (x - extreme) * going > 0:
-            extreme = x
-            while depth >= 3 and (x - turns[depth - 2]) * going >= 0:
-                depth -= 2
-        elif (extreme - x) * going > dead:
-            if depth == 64:
-                turns[1:62] = turns[3:64]
-                depth -= 2
-            turns[depth] = extreme
-            depth += 1
-            extreme = x
-            going = -going
-        last[k] = turns[depth - 1]
-        before[k] = turns[max(depth - 2, 0)]
-        order[k] = max(depth - 2, 0)
-    return last, before, order
-
-
-def locate(problem: LinearisedProblem, parts: Sequence[Breakdown]) -> list[Location]:
-    """Summarise a breakdown per channel: shares that add up to one over the channels with an excess."""
-    positive = [b for b in parts if b.excess > 0]
-    total = sum(b.excess for b in positive)
-    found = []
-    for b in sorted(positive, key=lambda b: -b.excess):
-        time = _spans(*b.axes["time"])  # type: ignore[arg-type]
-        low, high = _middle(*b.axes["temperature"])  # type: ignore[arg-type]
-        frequency = _middle(b.axes["frequency"][0], b.axes["frequency"][1])  # type: ignore[arg-type]
-        surrogate = sorted(surrogate_of_temperature(problem.nominal.device, [low, high]).tolist())
-        found.append(
-            Location(
-                signal=b.channel,
-                share=float(b.excess / total),
-                time_s=time,
-                branch=_branch(*np.maximum(b.axes["branch"][1][:2], 0.0) / np.maximum(b.moving, 1)),
-                temperature_degC=[low, high],
-                temperature_surrogate_a=[float(v) for v in surrogate],
-                frequency_hz=list(frequency),
-            )
+def _relinearise_constants(
+    nominal: Nominal, problem: LinearisedProblem, clock: Clock, *, rounds: int = 3
+) -> LinearisedProblem:
+    """Move to where the nuisance model's own refit puts the thermal parameters, until they stay: it is not linear in them."""
+    for _ in range(rounds):
+        shift = problem.fit_nuisance(problem.residual)[-problem.origin.size :]
+        if problem.curved(shift - problem.origin) < 0.7:
+            break
+        moved = linearise_problem(
+            nominal, problem.parts, shift=shift, shapes=problem.shapes, loops=problem.loops, say=clock.say
         )
-    return found
+        if moved.residual_chi_square >= problem.residual_chi_square - 10.0:
+            break
+        problem = moved
+    return problem
 
 
-def _branch(heating: float, cooling: float) -> Literal["heating", "cooling", "both"]:
-    """Which branch is the place, by its energy per sample: how long each of them took says nothing."""
-    if heating > ONE_BRANCH * cooling:
-        return "heating"
-    return "cooling" if cooling > ONE_BRANCH * heating else "both"
+def _refine_noise_model(
+    nominal: Nominal, problem: LinearisedProblem, limits: Limits, clock: Clock
+) -> tuple[Nominal, LinearisedProblem]:
+    """Take level and colour of a channel's noise from the recording itself where little but noise is left in it.
+
+    A calibration is slow and its noise may have another colour; where an effect is in the channel its residual is
+    no noise, and the calibration's stands.
+    """
+    # a weight stands for misfit that is expected: what there is of it must not pass for a low noise
+    left = problem.apply_inverse_covariance(problem.residual) / np.where(
+        problem.weight > 0, problem.weight, 1.0
+    )
+    before = nominal.noise
+    noise = dict(before)
+    for channel in dict.fromkeys(row.channel for row in problem.rows):
+        rows = [row for row in problem.rows if row.channel == channel]
+        power = [float(np.mean(left[row.where][problem.weight[row.where] > 0] ** 2)) for row in rows]
+        if not all(0.3 < p < limits.quiet for p in power):
+            continue
+        known = noise[channel]
+        plain = [known.color(left[row.where]) for row in rows]
+        found = fit_noise(
+            np.concatenate(plain), np.concatenate([problem.weight[row.where] > 0 for row in rows])
+        )
+        if 0.5 < found.level / known.level < 1.6:
+            noise[channel] = found
+    if noise == dict(nominal.noise):
+        return nominal, problem
+    nominal = replace(nominal, noise=noise)
+    # what a weight stands for is in the noise already where that was found in the recording
+    shapes = {
+        channel: shape if noise.get(channel) is before.get(channel) else replace(shape, rough=0.0)
+        for channel, shape in loop_shapes(nominal).items()
+    }
+    return nominal, linearise_problem(
+        nominal, problem.parts, shift=problem.origin, shapes=shapes, loops=problem.loops, say=clock.say
+    )
 
 
-def _spans(edges: Sequence[float], energy: Floats) -> list[list[float]]:
-    """The fewest bins that hold four fifths of the positive energy, neighbours joined."""
-    positive = np.maximum(energy, 0.0)
-    order = np.argsort(positive)[::-1]
-    held = np.cumsum(positive[order])
-    needed = int(np.searchsorted(held, 0.8 * held[-1])) + 1
-    chosen = np.sort(order[:needed])
-    spans: list[list[float]] = []
-    for k in chosen:
-        if spans and abs(spans[-1][1] - edges[k]) < 1e-9 * max(abs(edges[-1]), 1.0):
-            spans[-1][1] = float(edges[k + 1])
-        else:
-            spans.append([float(edges[k]), float(edges[k + 1])])
-    return spans
-
-
-def _middle(edges: Sequence[float], energy: Floats) -> tuple[float, float]:
-    """Range between the 10 % and 90 % points of the positive energy."""
-    positive = np.cumsum(np.maximum(energy, 0.0))
-    if positive[-1] <= 0:
-        return float(edges[0]), float(edges[-1])
-    low, high = (int(np.searchsorted(positive, q * positive[-1])) for q in (0.1, 0.9))
-    last = len(edges) - 1
-    return float(edges[low]), float(edges[min(high + (1 if len(edges) > energy.size else 0), last)])
+def _excess(
+    problem: LinearisedProblem, remaining: Floats, chi_square: float
+) -> tuple[dict[str, float], float]:
+    """Excess power over noise power, by channel and of all: each channel's part of chi-square over its samples."""
+    own: dict[str, list[float]] = {}
+    for row, _, _ in problem.iterate():
+        energy = float(problem.residual[row.where] @ remaining[row.where])
+        count = float(np.count_nonzero(problem.weight[row.where]))
+        total = own.setdefault(row.channel, [0.0, 0.0])
+        total[0] += energy
+        total[1] += count
+    return {c: e / max(n, 1.0) - 1.0 for c, (e, n) in own.items()}, chi_square / max(problem.count, 1) - 1.0

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from vo2_models.device import preset, surrogate_of_temperature
 from vo2_models.diagnosis.explain import Explanation, _distance, _moved
 from vo2_models.diagnosis.hypotheses import Hypothesis
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.part import Part
 from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
@@ -26,8 +27,6 @@ from vo2_models.identification.excitation import chirp, first_order_reversal_fan
 __all__ = ["Excitable", "by_hand", "library", "propose"]
 
 Floats = NDArray[np.float64]
-SEPARATED = 8.0
-"""Distance [standard deviations] from which an experiment is worth proposing."""
 SAMPLES = 5000
 """Length of a proposed experiment."""
 
@@ -127,6 +126,7 @@ def propose(
     nominal: Nominal,
     first: Explanation,
     second: Explanation,
+    limits: Limits,
     *,
     names: tuple[str, str],
     say: Callable[[str], None] = lambda text: None,
@@ -145,7 +145,7 @@ def propose(
     distance, excitable = best
     now = float(np.sqrt(max(abs(second.chi_square - first.chi_square), 0.0)))
     records = {h.record.id: h.record for e in (first, second) for h in e.hypotheses}
-    if distance >= SEPARATED:
+    if distance >= limits.separated:
         return NextExperiment(
             why=(
                 f"{names[0]} and {names[1]} differ by {now:.1f} standard deviations in what was recorded; "
@@ -231,8 +231,3 @@ def _known(explanation: Explanation) -> Floats:
     """Precision with which the recordings so far fix the parameters of an explanation."""
     covariance = np.asarray(explanation.covariance)
     return np.asarray(np.linalg.pinv(covariance)) if covariance.size else np.zeros((0, 0))
-
-
-def closest_pair(pairs: Sequence[Sequence[str]]) -> tuple[str, str] | None:
-    """The pair to separate first."""
-    return (pairs[0][0], pairs[0][1]) if pairs else None

@@ -44,8 +44,6 @@ JUDGED_UNIT = {HEATER_CURRENT: "A", RESISTANCE: "log10 ohm", TIP_DEFLECTION: "m"
 """Unit in which a channel is compared: resistance in decades, the others as they are."""
 RINGING = 0.05
 """Cycles per sample from which a mode follows what happens between samples."""
-LARGE_MOVE = 5.0
-"""Move of a thermal parameter, in standard deviations, that may hide an effect."""
 TONES = 40
 """Tones of a staircase that are kept."""
 FILMS = 8
@@ -205,7 +203,7 @@ class Nominal:
         dt: float,
         *,
         effects: Mapping[str, Mapping[str, float | str]] | None = None,
-        thermal: Mapping[str, float] | None = None,
+        constants: Mapping[str, float] | None = None,
         settled: bool = False,
         fine: bool = True,
     ) -> Response:
@@ -216,14 +214,15 @@ class Nominal:
         current : (n,) what drives the device [A]
         dt : sample period [s]
         effects : what is added
-        thermal : values that replace those of the model, by name as in `THERMAL`
+        constants : values that replace those of the model, by name as in `nuisance.constants_of`
         settled : whether the device had come to rest at the first current before, instead of at no current
         fine : take several steps a sample where it counts what happens in between
         """
         chain = _noiseless(self.model.simulation)
         c = chain.coefficients.copy()
-        for name, value in (thermal or {}).items():
-            c[THERMAL[name]] = value
+        given = constants or {}
+        for name, place in THERMAL.items():
+            c[place] = given.get(name, c[place])
         chain = replace(chain, coefficients=c)
         if effects:
             chain = chain.with_effects(effects)
@@ -250,7 +249,11 @@ class Nominal:
             values = out[:, k]
             if channel in grids:
                 values = rounded_with_noise(values, grids[channel], self._noise_of(channel, values))
-            found[channel] = np.log10(np.maximum(values, 1e-3)) if channel == RESISTANCE else values
+            if channel == TIP_DEFLECTION:
+                values = given.get("deflection.gain", 1.0) * values + given.get("deflection.zero", 0.0)
+            if channel == RESISTANCE:
+                values = np.log10(np.maximum(given.get("resistance.gain", 1.0) * values, 1e-3))
+            found[channel] = values
         return Response({k: v[lead:] for k, v in found.items()}, temperature[lead:])
 
 

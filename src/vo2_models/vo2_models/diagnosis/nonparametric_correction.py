@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter, welch
 
+from vo2_models.diagnosis.breakdown import turning_points
 from vo2_models.diagnosis.nominal import Response
 from vo2_models.diagnosis.part import Part
 from vo2_models.diagnosis.problem import LinearisedProblem, Row
@@ -192,9 +193,10 @@ def _groups(problem: LinearisedProblem, rows: list[Row], residual: Floats) -> di
 
 def _felt_temperature(problem: LinearisedProblem, rows: list[Row]) -> Floats | None:
     """Whitened change of the channel per kelvin of ambient temperature, along its recordings."""
-    if "thermal.ambient" not in problem.names:
+    place_of = problem.column_of("thermal.ambient")
+    if place_of is None:
         return None
-    column = problem.nuisance.thermal[:, problem.names.index("thermal.ambient")]
+    column = problem.nuisance.thermal[:, place_of] / problem.constants[place_of].spread
     place = np.concatenate([np.arange(row.where.start, row.where.stop) for row in rows])
     return np.asarray(column[place])
 
@@ -278,8 +280,6 @@ def _of_current(part: Part, response: Response, row: Row) -> Floats:
 
 
 def _of_reversals(part: Part, response: Response, row: Row) -> Floats:
-    from vo2_models.diagnosis.locate import turning_points
-
     last, before = turning_points(response.temperature)
     here = response.temperature
     warm = _spline(here, 6)

@@ -16,7 +16,7 @@ from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.identification.enrichment import Correction, EnrichmentBasis
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
-__all__ = ["Coverage", "LoopShape", "coverage", "loop_shapes", "thermal_spread"]
+__all__ = ["ANOTHER_DAY", "Constant", "Coverage", "LoopShape", "constants_of", "coverage", "loop_shapes"]
 
 Floats = NDArray[np.float64]
 DOMAINS = (1e3, 4e3, 1.6e4, 1e6)
@@ -191,12 +191,56 @@ def _block_covariance(noise: NoiseModel, count: Floats, *, band: int = 12) -> Fl
     return out
 
 
-def thermal_spread(model: DeviceModel) -> tuple[dict[str, float], dict[str, float]]:
-    """Values and standard deviations of the thermal parameters that a refit may move.
+@dataclass(frozen=True)
+class Constant:
+    """One way in which a constant of the device may differ from the model file's.
 
-    The deviation is the fit's own where the model file has it, with a floor for what differs between two
-    recordings of an unchanged device, and a default where it has none. Ambient and gain have next to none: without
-    a temperature sensor they are the scale that temperature is told in, and they are the same for both recordings.
+    Attributes
+    ----------
+    name : as in the model file (`thermal.ambient`), or `deflection.zero`, `deflection.gain`, `resistance.gain`
+    unit : of its value
+    value : of the model; 0 for a zero, 1 for a gain
+    spread : standard deviation beforehand, in `unit`
+    drifts : True where the device has changed since its calibration, and the loops are as they were calibrated; False
+        where the calibration did not know better, and the loops go along with the lags
+    straight : move, in units of `spread`, over which the simulation is linear in it
+    """
+
+    name: str
+    unit: str
+    value: float
+    spread: float
+    drifts: bool = False
+    straight: float = 1.0
+
+
+ANOTHER_DAY = {
+    "thermal.ambient": ("degC", 1.0),
+    "thermal.linear_gain": ("K/A", 0.005),
+    "thermal.square_gain": ("K/A^2", 0.005),
+    "thermal.time_constant": ("s", 0.05),
+    "driver.dead_time": ("s", 0.05),
+    "deflection.zero": ("m", 0.01),
+    "deflection.gain": ("1", 0.01),
+    "resistance.gain": ("1", 0.01),
+}
+"""Unit, and standard deviation of what differs between two days of an unchanged rig: of the ambient in kelvin, of the
+deflection's zero as a share of its range, of the others as a share of the value. A room is held within 1 K, a thermal
+grease or a clamp set anew changes a time constant by some per cent, an optical lever is aligned to some tenths of a
+micrometre, a meter keeps its gain within a per cent. Assumed: no statistics over days are published."""
+
+
+def constants_of(nominal: Nominal) -> tuple[Constant, ...]:
+    """Constants that a refit may move: as uncertain as the calibration left them, and as they differ from day to day."""
+    return (*_calibrated(nominal.model), *_drifting(nominal))
+
+
+def _calibrated(model: DeviceModel) -> list[Constant]:
+    """Thermal constants within the fit's own standard deviation.
+
+    With a floor for what differs between two recordings of an unchanged device, and a default for a model file without
+    deviations. Ambient and gain have next to none: without a temperature sensor they are the scale that temperature is
+    expressed in, and they are the same for both recordings.
     """
     floors = {
         "thermal.time_constant": (0.003, 0.10),
@@ -204,16 +248,34 @@ def thermal_spread(model: DeviceModel) -> tuple[dict[str, float], dict[str, floa
         "thermal.linear_gain": (1e-4, 1e-4),
         "thermal.square_gain": (1e-4, 1e-4),
     }
-    values, spreads = {}, {}
+    found = []
     for name, (floor, default) in floors.items():
         value = model.scalars[name]
         if value == 0.0:
             continue
         known = model.uncertainty.get(name)
-        relative = abs(known[0] / model.scalars[name]) if known else default
-        values[name], spreads[name] = value, abs(value) * max(relative, floor)
+        relative = abs(known[0] / value) if known else default
+        found.append(Constant(name, ANOTHER_DAY[name][0], value, abs(value) * max(relative, floor)))
     name = "thermal.ambient"
     known = model.uncertainty.get(name)
-    values[name] = model.scalars[name]
-    spreads[name] = max(known[0] if known else 0.0, 0.01)
-    return values, spreads
+    spread = max(known[0] if known else 0.0, 0.01)
+    return [*found, Constant(name, ANOTHER_DAY[name][0], model.scalars[name], spread)]
+
+
+def _drifting(nominal: Nominal) -> list[Constant]:
+    """Constants that another day may have moved, sensors included."""
+    model, found = nominal.model, []
+    for name, (unit, spread) in ANOTHER_DAY.items():
+        section, _, what = name.partition(".")
+        if section in ("thermal", "driver"):
+            value = model.scalars[name]
+            if value == 0.0:
+                continue
+            size = spread if name == "thermal.ambient" else abs(value) * spread
+        else:
+            if not getattr(model, section).present:
+                continue
+            value = 0.0 if what == "zero" else 1.0
+            size = spread * nominal.span[TIP_DEFLECTION] if what == "zero" else spread
+        found.append(Constant(name, unit, value, size, drifts=True, straight=0.1))
+    return found

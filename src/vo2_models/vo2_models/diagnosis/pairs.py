@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.diagnosis.decide import Thresholds
 from vo2_models.diagnosis.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
 from vo2_models.diagnosis.hypotheses import Hypothesis, windowed
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
 
-__all__ = ["Option", "bend", "option_of", "pair_of", "trace"]
+__all__ = ["Option", "bend", "option_of", "pair_of", "refit_about", "trace"]
 
 Floats = NDArray[np.float64]
 Tick = Callable[[], None]
@@ -104,19 +104,21 @@ def option_of(
     rivals : what else was tried
     tick : called once per simulation
     """
-    final, chosen = _about(nominal, problem, best, tick)
+    final, chosen = refit_about(nominal, problem, best, tick=tick)
     remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0
     return Option(final, chosen, tuple(rivals), remaining)
 
 
-def _about(
-    nominal: Nominal, problem: LinearisedProblem, best: Explanation, tick: Tick
+def refit_about(
+    nominal: Nominal, problem: LinearisedProblem, best: Explanation, *, tick: Tick = lambda: None
 ) -> tuple[LinearisedProblem, Explanation]:
-    """Build the problem about an explanation and fit it once more there."""
+    """Build the problem about an explanation, with the same constants, and fit it once more there."""
     final = linearise_problem(
         nominal,
         problem.parts,
-        shift=best.shift,
+        # fitted with constants as the calibration left them, perhaps: those that drift come last
+        shift=np.pad(best.shift, (0, problem.origin.size - best.shift.size)),
+        drifts=any(c.drifts for c in problem.constants),
         effects=best.effects,
         shapes=problem.shapes,
         loops=problem.loops,
@@ -130,7 +132,7 @@ def pair_of(
     problem: LinearisedProblem,
     alone: Option,
     candidates: Sequence[Hypothesis],
-    limits: Thresholds,
+    limits: Limits,
     *,
     tick: Tick = lambda: None,
 ) -> Option | None:
@@ -163,14 +165,14 @@ def pair_of(
             break
         tried.add(key)
         one = fit_jointly(problem, *waiting[key], iterations=BRIEF, tick=tick)
-        there, kept = _about(nominal, problem, one, tick)
+        there, kept = refit_about(nominal, problem, one, tick=tick)
         fresh = _joined(there, kept, candidates, limits, tick)
         found += [(there, joint) for joint in fresh]
         waiting |= _untried(fresh, about.count, limits)
     found.sort(key=lambda item: item[1].chi_square)
     where, best = _simplest(found, limits)
     drop, leftover = before - best.chi_square, before - about.count
-    least = min(limits.least(h) for h in best.hypotheses)
+    least = min(limits.least_gain(evident=h.evident) for h in best.hypotheses)
     if drop < max(least, limits.second * leftover):
         return None
     thorough = leftover > limits.gain and drop > limits.thorough * leftover
@@ -183,7 +185,7 @@ def pair_of(
 
 
 def _untried(
-    joints: Sequence[Explanation], count: int, limits: Thresholds
+    joints: Sequence[Explanation], count: int, limits: Limits
 ) -> dict[str, tuple[list[Hypothesis], list[dict[str, float]]]]:
     """Each effect of the best of these pairs and of those that nearly reach it, alone: key -> hypothesis and values."""
     lowest = joints[0].chi_square if joints else 0.0
@@ -199,7 +201,7 @@ def _joined(
     about: LinearisedProblem,
     first: Explanation,
     candidates: Sequence[Hypothesis],
-    limits: Thresholds,
+    limits: Limits,
     tick: Tick,
 ) -> list[Explanation]:
     """Refit the most promising partners of an effect together with it, best first.
@@ -232,7 +234,7 @@ def _joined(
 
 
 def _simplest(
-    found: Sequence[tuple[LinearisedProblem, Explanation]], limits: Thresholds
+    found: Sequence[tuple[LinearisedProblem, Explanation]], limits: Limits
 ) -> tuple[LinearisedProblem, Explanation]:
     """The pair with the fewest parameters of those that fit as well as the first, within what no pair explains."""
     lowest = found[0][1].chi_square
@@ -254,9 +256,9 @@ def _excess_there(problem: LinearisedProblem, about: LinearisedProblem, joint: E
     return found
 
 
-def _least(one: Score, scores: Sequence[Score], limits: Thresholds) -> float:
+def _least(one: Score, scores: Sequence[Score], limits: Limits) -> float:
     """Score from which a partner is refitted."""
-    least = limits.least(one.hypothesis)
+    least = limits.least_gain(evident=one.hypothesis.evident)
     return least if one.hypothesis.evident else max(least, 0.1 * scores[0].gain)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device import preset
+from vo2_models.diagnosis.current_reading import as_commanded
 from vo2_models.diagnosis.nominal import Nominal, drive_of, judged
-from vo2_models.diagnosis.reading import as_commanded
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
 
 __all__ = ["Part", "prepare", "regular", "value_step"]

@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from vo2_models.diagnosis.current_reading import between_samples
 from vo2_models.diagnosis.nominal import Nominal, Response
-from vo2_models.diagnosis.nuisance import LoopShape, loop_shapes, thermal_spread
+from vo2_models.diagnosis.nuisance import Constant, LoopShape, constants_of, loop_shapes
 from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.part import Part
 from vo2_models.diagnosis.propagate_correction import through_structure
-from vo2_models.diagnosis.reading import between_samples
 from vo2_models.diagnosis.tangent import Tangent
 from vo2_models.recording import HEATER_CURRENT, TIP_DEFLECTION
 
@@ -35,6 +35,8 @@ Floats = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float | str]]
 QUICKEST = 0.2
 """Least time constant that the nuisance model may ask for, as a share of the calibration's, which may hardly tell it."""
+STEP = 0.2
+"""Step of a constant by which its column is taken, as a share of what the simulation is linear over."""
 STILL_K = 0.1
 """Move of a temperature path over which the loop columns are taken as unchanged [K]."""
 
@@ -64,8 +66,7 @@ class LinearisedProblem:
     nuisance : (N, k) whitened tangent of the nuisance model
     loops : channel -> the loop columns that were kept, and where they were taken
     loop_coupling : (N, t) what of the thermal columns is the loops' doing: the calibration has fixed them together with the lags
-    names : of the thermal columns, which are the last
-    spreads : a unit of each thermal column, in the parameter's unit
+    constants : of the thermal columns, which are the last; a unit of each is its `spread`
     included : effects that the nominal responses already have
     shapes : posterior of the loop shapes behind the nuisance model
     """
@@ -78,8 +79,7 @@ class LinearisedProblem:
     nominal_responses: tuple[Response, ...]
     residual: Floats
     nuisance: Tangent
-    names: tuple[str, ...]
-    spreads: tuple[float, ...]
+    constants: tuple[Constant, ...]
     included: Effects = field(default_factory=dict)
     shapes: Mapping[str, LoopShape] = field(default_factory=dict)
     loops: Mapping[str, LoopColumns] = field(default_factory=dict)
@@ -99,13 +99,13 @@ class LinearisedProblem:
         self, effects: Effects, shift: Floats | None = None, *, fine: bool = True
     ) -> list[Response]:
         """Simulate every part with effects beside the included ones, thermal parameters moved by `shift` columns."""
-        thermal = self.moved(self.origin if shift is None else shift)
+        values = self.moved(self.origin if shift is None else shift)
         return [
             self.nominal.respond(
                 part.current,
                 part.dt,
                 effects={**self.included, **effects},
-                thermal=thermal,
+                constants=values,
                 settled=part.settled,
                 fine=fine,
             )
@@ -113,8 +113,17 @@ class LinearisedProblem:
         ]
 
     def moved(self, shift: Floats) -> dict[str, float]:
-        """Thermal parameters moved from the model's by `shift`, in units of their columns."""
-        return _moved(self.nominal, shift)
+        """Constants moved from the model's by `shift` (t,), in units of their columns."""
+        return _moved(self.constants, shift)
+
+    def curved(self, move: Floats) -> float:
+        """Largest part of a move (t,) of the constants, in units of what the simulation is linear over."""
+        straight = np.array([c.straight for c in self.constants])
+        return float(np.max(np.abs(move) / straight, initial=0.0))
+
+    def column_of(self, name: str) -> int | None:
+        """Which of the thermal columns is a constant's; None for none."""
+        return next((k for k, c in enumerate(self.constants) if c.name == name), None)
 
     def stack(self, responses: Sequence[Response], reference: Sequence[Response] | None = None) -> Floats:
         """Whitened (N,) difference of responses from a reference (by default the nominal ones)."""
@@ -202,6 +211,7 @@ def linearise_problem(
     parts: Sequence[Part],
     *,
     shift: Floats | None = None,
+    drifts: bool = True,
     effects: Effects | None = None,
     shapes: Mapping[str, LoopShape] | None = None,
     loops: Mapping[str, LoopColumns] | None = None,
@@ -214,6 +224,7 @@ def linearise_problem(
     nominal : without corrections
     parts : recordings, as `part.prepare` made them
     shift : move of the thermal parameters to linearise about; the nuisance model pays for it as for its own moves
+    drifts : whether constants may have drifted since the calibration; else they are as it left them
     effects : effects to linearise about
     shapes : posterior of the loop shapes, where it is known already
     loops : columns of an earlier problem: their directions are kept, and they themselves where the
@@ -221,14 +232,15 @@ def linearise_problem(
     say : called with what is being done
     """
     shapes = loop_shapes(nominal) if shapes is None else shapes
-    spreads = thermal_spread(nominal.model)[1]
-    origin = np.zeros(len(spreads)) if shift is None else np.asarray(shift, dtype=np.float64)
-    moved = {n: float(z) * spreads[n] for n, z in zip(spreads, origin, strict=True)}
+    constants = tuple(c for c in constants_of(nominal) if drifts or not c.drifts)
+    origin = np.zeros(len(constants)) if shift is None else np.asarray(shift, dtype=np.float64)
+    moved = {c.name: float(z) * c.spread for c, z in zip(constants, origin, strict=True) if not c.drifts}
     corrected = replace(nominal, corrections={c: s.fold(moved) for c, s in shapes.items()})
-    thermal = _moved(corrected, origin)
+    values = _moved(constants, origin)
     say("simulating the recordings")
     responses = [
-        corrected.respond(p.current, p.dt, effects=effects, thermal=thermal, settled=p.settled) for p in parts
+        corrected.respond(p.current, p.dt, effects=effects, constants=values, settled=p.settled)
+        for p in parts
     ]
     rows, end = [], 0
     for channel in dict.fromkeys(channel for part in parts for channel in part.channels):
@@ -257,15 +269,11 @@ def linearise_problem(
     blocks = _whitened(kept, rows, parts, corrected, effects or {}, weight)
     partial = LinearisedProblem(
         corrected, origin, tuple(parts), tuple(rows), weight, tuple(responses), residual,
-        Tangent((), np.zeros((end, 0))), (), (), dict(effects or {}), shapes, kept,
+        Tangent((), np.zeros((end, 0))), constants, dict(effects or {}), shapes, kept,
     )  # fmt: skip
 
-    def column(step: Floats) -> Floats:
-        return partial.stack(partial.responses({}, origin + step)) / 0.2
-
-    columns = parallel_map(column, 0.2 * np.eye(origin.size))
-    coupling = _loop_coupling(partial, spreads)
-    thermal_columns = np.column_stack(columns) if columns else np.zeros((end, 0))
+    thermal_columns = _constant_columns(partial)
+    coupling = _loop_coupling(partial)
     nuisance = Tangent(blocks, thermal_columns + coupling)
     # told from the model's own thermal parameters, so that the nuisance model pays for the origin too
     if origin.size:
@@ -274,22 +282,42 @@ def linearise_problem(
         partial,
         residual=residual,
         nuisance=nuisance,
-        names=tuple(spreads),
-        spreads=tuple(spreads.values()),
         loop_coupling=coupling,
     )
 
 
-def _loop_coupling(problem: LinearisedProblem, spreads: Mapping[str, float]) -> Floats:
+def _constant_columns(problem: LinearisedProblem) -> Floats:
+    """Whitened change (N, t) of the simulation by each constant's spread, the loops held; by differences."""
+    widest: dict[str, int] = {}
+    for place, constant in enumerate(problem.constants):
+        known = widest.get(constant.name)
+        if known is None or constant.spread * constant.straight > problem.constants[known].spread * (
+            problem.constants[known].straight
+        ):
+            widest[constant.name] = place
+
+    def by_unit(place: int) -> Floats:
+        """Change per unit of the constant."""
+        constant = problem.constants[place]
+        step = np.zeros(len(problem.constants))
+        step[place] = STEP * constant.straight
+        return problem.stack(problem.responses({}, problem.origin + step)) / (step[place] * constant.spread)
+
+    columns = dict(zip(widest, parallel_map(by_unit, widest.values()), strict=True))
+    return np.column_stack([c.spread * columns[c.name] for c in problem.constants])
+
+
+def _loop_coupling(problem: LinearisedProblem) -> Floats:
     """Whitened change (N, t) of the loops that goes with each thermal parameter's step."""
-    out = np.zeros((problem.weight.size, len(spreads)))
+    out = np.zeros((problem.weight.size, len(problem.constants)))
     simulation = problem.nominal.model.simulation.with_effects(problem.included)
     for row, part, response in problem.iterate():
         shape = problem.shapes.get(row.channel)
-        for place, (name, spread) in enumerate(spreads.items()):
-            if shape is None or name not in shape.by_lag:
+        for place, constant in enumerate(problem.constants):
+            if shape is None or constant.drifts or constant.name not in shape.by_lag:
                 continue
-            change = shape.basis.fold(spread * shape.by_lag[name], span=shape.span)(response.temperature)
+            weights = constant.spread * shape.by_lag[constant.name]
+            change = shape.basis.fold(weights, span=shape.span)(response.temperature)
             if row.channel == TIP_DEFLECTION:
                 change = through_structure(simulation, change[:, None], part.dt)[:, 0]
             whitened = problem.nominal.noise[row.channel].whiten(change)
@@ -297,12 +325,15 @@ def _loop_coupling(problem: LinearisedProblem, spreads: Mapping[str, float]) -> 
     return out
 
 
-def _moved(nominal: Nominal, shift: Floats) -> dict[str, float]:
-    values, spreads = thermal_spread(nominal.model)
-    moved = {n: values[n] + spreads[n] * z for n, z in zip(spreads, shift, strict=True)}
+def _moved(constants: Sequence[Constant], shift: Floats) -> dict[str, float]:
+    """Values of the constants, each moved by all of its columns."""
+    before = {c.name: c.value for c in constants}
+    moved = dict(before)
+    for constant, z in zip(constants, shift, strict=True):
+        moved[constant.name] += constant.spread * float(z)
     for name in ("driver.dead_time", "thermal.time_constant"):
         if name in moved:
-            moved[name] = max(moved[name], 0.0 if name == "driver.dead_time" else QUICKEST * values[name])
+            moved[name] = max(moved[name], 0.0 if name == "driver.dead_time" else QUICKEST * before[name])
     return moved
 
 

@@ -12,6 +12,7 @@ from typing import Any, Literal
 from vo2_models.io import write_whole
 
 __all__ = [
+    "FAMILIES",
     "RESULTS",
     "SCHEMA",
     "Candidate",
@@ -19,6 +20,7 @@ __all__ = [
     "Diagnosis",
     "Estimate",
     "Location",
+    "MovedConstant",
     "NamedEffect",
     "NextExperiment",
     "validate",
@@ -27,6 +29,8 @@ __all__ = [
 SCHEMA = "vo2-diagnosis/1"
 RESULTS = ("diagnosis.json", "report.html", "corrected_model.yaml")
 """What a diagnosis writes into its folder."""
+FAMILIES = ("drive", "heat", "transition", "film", "structure", "sensor", "clock")
+"""What a family begins with; sensor and clock have `:CHANNEL` behind."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,18 @@ class Estimate:
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """One thing the simulation left out, or "unknown"."""
+    """One thing the simulation left out, or "unknown".
+
+    Attributes
+    ----------
+    id, signal : the effect, and on which channel where it sits on one
+    probability : 0 to 1
+    statement, equation : in words and as the added term
+    parameters : name -> estimate
+    family : drive, heat, transition, film, structure, sensor:CHANNEL or clock:CHANNEL
+    form : which of the forms of its class it has
+    siblings : ids that these recordings do not tell from it; the family is the answer then
+    """
 
     id: str
     probability: float
@@ -61,6 +76,20 @@ class NamedEffect:
     equation: str
     parameters: dict[str, Estimate]
     signal: str | None = None
+    family: str = ""
+    form: str = ""
+    siblings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class MovedConstant:
+    """A constant that has moved since the calibration."""
+
+    constant: str
+    was: float
+    now: float
+    std: float
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -107,24 +136,32 @@ class NextExperiment:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Everything `diagnosis.json` holds; `checks`, `limits` and `timing` go beyond the schema."""
+    """Everything `diagnosis.json` holds.
 
-    verdict: Literal["agrees", "differs"]
+    `summary`, `limits` (of the data, in words), `not_excited`, `excess`, `seconds` and `decision_limits` (of the method,
+    each with its provenance) go beyond the schema.
+    """
+
+    verdict: Literal["agrees", "drifted", "differs"]
     location: list[Location]
     effects: list[NamedEffect]
     candidates: list[Candidate]
     fit: dict[str, ChannelFit]
     indistinguishable: list[list[str]]
     next_experiment: NextExperiment | None
+    moved: list[MovedConstant] = field(default_factory=list)
     summary: str = ""
     limits: list[str] = field(default_factory=list)
     not_excited: list[str] = field(default_factory=list)
     excess: dict[str, float] = field(default_factory=dict)
     seconds: float = 0.0
+    decision_limits: dict[str, dict[str, float | str]] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON types; `signal` is left out where an effect has none."""
         plain = {"schema": SCHEMA, **asdict(self)}
+        for entry in plain["moved"]:
+            entry["is"] = entry.pop("now")  # a keyword of Python
         for key in ("effects", "candidates"):
             plain[key] = [
                 {k: v for k, v in entry.items() if not (k == "signal" and v is None)} for entry in plain[key]
@@ -157,11 +194,25 @@ def validate(plain: Mapping[str, Any]) -> None:
 
     need(plain.get("schema") == SCHEMA, f"schema: found {plain.get('schema')!r}, need {SCHEMA!r}")
     for key in (
-        "verdict", "location", "effects", "candidates", "fit", "indistinguishable", "next_experiment",
+        "verdict", "moved", "location", "effects", "candidates", "fit", "indistinguishable", "next_experiment",
     ):  # fmt: skip
         need(key in plain, f"{key}: missing")
-    need(plain["verdict"] in ("agrees", "differs"), f"verdict: found {plain['verdict']!r}")
-    need(plain["verdict"] == "differs" or not plain["effects"], "effects: found some, need none that agree")
+    need(plain["verdict"] in ("agrees", "drifted", "differs"), f"verdict: found {plain['verdict']!r}")
+    need(
+        plain["verdict"] == "differs" or not plain["effects"],
+        "effects: found some, need none unless it differs",
+    )
+    need(
+        plain["verdict"] != "drifted" or bool(plain["moved"]),
+        "moved: found none, need one where it has drifted",
+    )
+    for entry in plain["moved"]:
+        need(
+            bool(entry["constant"])
+            and all(math.isfinite(entry[k]) for k in ("was", "is", "std"))
+            and entry["std"] >= 0,
+            f"moved {entry['constant']}: need finite was, is and std",
+        )
     for entry in plain["location"]:
         need(0 <= entry["share"] <= 1 + 1e-9, f"location share: found {entry['share']}, need 0 to 1")
         need(entry["branch"] in ("heating", "cooling", "both"), f"branch: found {entry['branch']!r}")
@@ -180,6 +231,11 @@ def validate(plain: Mapping[str, Any]) -> None:
         need(0 <= entry["probability"] <= 1, f"probability: found {entry['probability']}")
     for entry in plain["effects"]:
         need(bool(entry["statement"]) and bool(entry["equation"]), f"{entry['id']}: need words and equation")
+        family = entry["family"].partition(":")[0]
+        need(
+            family in FAMILIES,
+            f"{entry['id']} family: found {entry['family']!r}, need one of {', '.join(FAMILIES)}",
+        )
         for name, estimate in entry["parameters"].items():
             need(
                 math.isfinite(estimate["value"]) and estimate["std"] >= 0 and "unit" in estimate,

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from vo2_models.device.description import preset
 from vo2_models.device.model import DeviceModel
+from vo2_models.diagnosis.current_reading import current_reading
 from vo2_models.diagnosis.noise import fit_noise
 from vo2_models.diagnosis.nominal import basis_of, span_of
-from vo2_models.diagnosis.reading import current_reading
 from vo2_models.identification.calibration_check import check_calibration, judge_fit
 from vo2_models.identification.command_delay import command_delay
 from vo2_models.identification.completion import completed

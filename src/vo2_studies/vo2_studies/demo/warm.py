@@ -13,7 +13,7 @@ from vo2_control.model_tuning import tuned_from_model
 from vo2_control.pid import pid_controller
 from vo2_models.device import truth
 from vo2_models.device.description import preset
-from vo2_models.diagnosis.locate import turning_points
+from vo2_models.diagnosis.breakdown import turning_points
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.nuisance import loop_shapes
 from vo2_models.identification.excitation import damped_oscillation

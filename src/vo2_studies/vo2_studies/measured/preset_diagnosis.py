@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from vo2_models.device.model import SensorModel
-from vo2_models.diagnosis.assemble_diagnosis import assemble_diagnosis
 from vo2_models.diagnosis.pipeline import study as diagnose_study
+from vo2_models.diagnosis.report import assemble_diagnosis
 from vo2_models.diagnosis.result import Diagnosis
 from vo2_models.recording import RESISTANCE
 

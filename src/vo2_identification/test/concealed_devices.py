@@ -1,0 +1,49 @@
+"""Simulated devices whose hysteresis is an ensemble of domains, their calibrations and recordings."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from vo2_models.device import preset, surrogate_of_temperature, truth
+from vo2_models.identification.excitation import Excitation, composite_recording, damped_oscillation
+from vo2_models.identification.model_fit import fit_model
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
+
+DEVICE, SEED = "integrated", 11
+MEASURED = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)
+
+
+def measured(recording: Recording) -> Recording:
+    channels = {k: v for k, v in recording.channels.items() if k in MEASURED}
+    return Recording(recording.time_s, channels, recording.device)
+
+
+def concealed(
+    effects=None, *, seed=4, samples=4000, colour=0.0, device_seed=SEED, device=DEVICE, moved=()
+) -> Recording:
+    nominal = preset(device)
+    dt = nominal.sample_period
+    cold, hot = nominal.operating_range
+    begin, end = surrogate_of_temperature(device, np.array([50.0, 70.0]))
+    current = composite_recording(
+        cold, hot, transition=(begin, end), duration_s=samples * dt, sample_period_s=dt, seed=seed
+    ).sample(dt)
+    concealing = truth(device, seed=device_seed, effects=effects or {}, colour=colour)
+    c = concealing.coefficients.copy()
+    for place, factor, added in moved:  # constants of another day
+        c[place] = factor * c[place] + added
+    return measured(replace(concealing, coefficients=c).simulate(current, seed=seed + 100))
+
+
+@cache
+def calibrated(device_seed=SEED, device=DEVICE, read=measured):
+    """Model fitted, once a session, to smaller and smaller loops at one rate, on which a lag and a wider loop look the same."""
+    nominal = preset(device)
+    low, high = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
+    levels = damped_oscillation(np.linspace(low, high, 31), reversals_only=True)
+    rate = float(np.sum(np.abs(np.diff(levels)))) / (12_000 * nominal.sample_period)
+    sweep = Excitation.at_rate(levels, rate_per_s=rate).sample(nominal.sample_period)
+    current = surrogate_of_temperature(device, sweep)
+    calibration = truth(device, seed=device_seed).simulate(current, seed=1)
+    _, found = fit_model([read(calibration)], device, plays=12)
+    return found

@@ -1,0 +1,101 @@
+"""Another day is not new physics: constants that move are told as that, alone and beside an effect."""
+
+import numpy as np
+import pytest
+from concealed_devices import DEVICE, calibrated, concealed
+from vo2_models.device import DeviceModel
+from vo2_models.device.coefficients import Coefficient
+from vo2_models.diagnosis import diagnose, study, validate
+from vo2_models.diagnosis.files import write_results
+from vo2_models.model_file import load_model_parameters
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
+
+WARMER = ((Coefficient.AMBIENT, 1.0, 0.5),)
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return calibrated()
+
+
+def _read(recording: Recording, **factors: tuple[float, float]) -> Recording:
+    """The recording of sensors with another gain and zero: channel -> (gain, zero)."""
+    changed = {name: gain * recording[name] + zero for name, (gain, zero) in factors.items()}
+    return Recording(recording.time_s, {**recording.channels, **changed}, recording.device)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_room_half_a_kelvin_off_is_a_drift_of_the_ambient(parameters, sign) -> None:
+    answer = diagnose([concealed(moved=((Coefficient.AMBIENT, 1.0, 0.5 * sign),))], parameters)
+    assert answer.verdict == "drifted" and answer.effects == []
+    first = answer.moved[0]
+    assert (first.constant, first.unit) == ("thermal.ambient", "degC")
+    assert first.now - first.was == pytest.approx(0.5 * sign, abs=0.06)
+    assert first.std < 0.05
+    plain = answer.to_dict()
+    validate(plain)
+    assert plain["moved"][0]["is"] == first.now
+    assert all("provenance" in limit for limit in plain["decision_limits"].values())
+
+
+def test_sensors_set_anew_are_told_apart(parameters) -> None:
+    answer = diagnose(
+        [_read(concealed(), **{TIP_DEFLECTION: (1.0, 3e-7), RESISTANCE: (1.02, 0.0)})], parameters
+    )
+    assert answer.verdict == "drifted"
+    moved = {m.constant: m for m in answer.moved}
+    assert set(moved) == {"deflection.zero", "resistance.gain"}
+    assert moved["deflection.zero"].now == pytest.approx(3e-7, rel=0.15)
+    assert moved["resistance.gain"].now == pytest.approx(1.02, abs=0.004)
+
+
+def test_the_corrected_model_has_the_moved_constants(parameters, tmp_path) -> None:
+    changed = _read(concealed(moved=WARMER), **{TIP_DEFLECTION: (1.03, 3e-7)})
+    write_results(study([changed], parameters), tmp_path)
+    corrected = load_model_parameters(tmp_path / "corrected_model.yaml")
+    assert corrected["model.thermal.ambient"] == pytest.approx(
+        parameters["model.thermal.ambient"] + 0.5, abs=0.08
+    )
+    miss = [
+        np.std(
+            changed[TIP_DEFLECTION]
+            - DeviceModel.from_parameters(m).simulate(changed[HEATER_CURRENT], noise=False)[TIP_DEFLECTION]
+        )
+        for m in (parameters, corrected)
+    ]
+    assert miss[1] < 0.6 * miss[0]
+    assert "thermal.ambient" in (tmp_path / "report.html").read_text()
+
+
+def test_an_effect_beside_a_drift_is_named_and_the_drift_told(parameters) -> None:
+    creep = {"creep": {"share": 0.06, "time_constant": 0.2}}
+    answer = diagnose([concealed(creep, moved=WARMER)], parameters)
+    assert answer.verdict == "differs"
+    assert [(e.id, e.family) for e in answer.effects] == [("creep", "structure")]
+    assert answer.moved[0].constant == "thermal.ambient"
+    assert answer.moved[0].now - answer.moved[0].was == pytest.approx(0.5, abs=0.08)
+
+
+def test_what_has_no_name_has_a_family(parameters) -> None:
+    plain = concealed()
+    hum = 0.02 * np.sin(2 * np.pi * 18.0 * plain.time_s)
+    film = {**plain.channels, RESISTANCE: plain[RESISTANCE] * np.exp(hum)}
+    answer = diagnose([Recording(plain.time_s, film, DEVICE)], parameters)
+    assert [(e.id, e.family) for e in answer.effects] == [("unknown", f"sensor:{RESISTANCE}")]
+    assert "18" in answer.effects[0].form
+
+
+@pytest.mark.parametrize("periods", [-1, 1])
+def test_commands_stamped_at_the_other_end_of_their_interval_are_found(parameters, periods) -> None:
+    plain = concealed()
+    place = np.clip(np.arange(len(plain)) + periods, 0, len(plain) - 1)
+    current = {**plain.channels, HEATER_CURRENT: plain[HEATER_CURRENT][place]}
+    answer = diagnose([Recording(plain.time_s, current, DEVICE)], parameters)
+    assert answer.verdict == "agrees"
+    assert any("command_delay" in text and f"{1e-3 * periods:+.4g} s" in text for text in answer.limits)
+
+
+def test_a_dead_time_is_no_stamp(parameters) -> None:
+    answer = diagnose([concealed({"dead_time": {"delay": 1.5e-3}})], parameters)
+    assert [(e.id, e.family) for e in answer.effects] == [("dead_time", "drive")]
+    assert not any("command_delay" in text for text in answer.limits)

@@ -1,0 +1,86 @@
+"""Which constants have moved since the calibration, how far, and how surely."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from vo2_models.diagnosis.nuisance import Constant
+from vo2_models.diagnosis.problem import LinearisedProblem
+
+__all__ = ["Drift", "drift_of"]
+
+Floats = NDArray[np.float64]
+BLOCKS = 24
+"""Stretches of a recording whose scatter widens a deviation."""
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Posterior of the constants that another day may have moved.
+
+    Attributes
+    ----------
+    constants : the constants
+    move : (d,) posterior mean, in each constant's unit
+    std : (d,) posterior standard deviation, what the calibration left open included, widened for misfit that is
+        correlated over long stretches
+    chi_square : squared move over its covariance: of an unchanged device a chi-square of d degrees of freedom
+    weights : (t,) of all thermal columns
+    """
+
+    constants: tuple[Constant, ...]
+    move: Floats
+    std: Floats
+    chi_square: float
+    weights: Floats
+
+    def significant(self, probability: float) -> bool:
+        """Whether unchanged constants would move as far with at most this probability."""
+        return bool(self.chi_square > chi2.isf(probability, len(self.constants)))
+
+    @property
+    def sigmas(self) -> Floats:
+        """Distance (d,) of each constant from where it was, in standard deviations."""
+        return np.asarray(np.abs(self.move) / self.std)
+
+
+def drift_of(problem: LinearisedProblem, residual: Floats) -> Drift:
+    """Posterior of the drifting constants, given a whitened residual (N,) about the model's own constants.
+
+    The covariance is (B'B + I)^-1 of the whole nuisance model. It is widened by the sandwich: the influence of each
+    sample on an estimate, times what is left of the residual, summed over long blocks, scatters as the deviation says
+    only if the residual is noise.
+    """
+    first = problem.nuisance.shape[1] - len(problem.constants)
+    places = [k for k, c in enumerate(problem.constants) if c.drifts]
+    constants = tuple(problem.constants[k] for k in places)
+    unit = np.zeros((problem.nuisance.shape[1], len(places)))
+    unit[[first + k for k in places], np.arange(len(places))] = 1.0
+    inverse = problem.nuisance_weights(unit)
+    covariance = inverse[[first + k for k in places]]
+    influence = problem.nuisance.times(inverse)
+    weights = problem.fit_nuisance(residual)
+    left = residual - problem.nuisance.times(weights)
+    scatter = np.zeros(len(places))
+    for index, part in enumerate(problem.parts):
+        edges = np.arange(BLOCKS) * part.size // BLOCKS
+        own = [row.where for row in problem.rows if row.part == index]
+        # a block of time is one piece of evidence for all channels together
+        sums = sum(np.add.reduceat(influence[w] * left[w, None], edges, axis=0) for w in own)
+        scatter += np.sum(np.asarray(sums) ** 2, axis=0)
+    plain = np.sum(influence**2, axis=0)
+    wider = np.sqrt(np.maximum(scatter / np.maximum(plain, 1e-300), 1.0))
+    spread = np.array([c.spread for c in constants])
+    z = weights[first:][places]
+    scaled = covariance * np.outer(wider, wider)
+    return Drift(
+        constants,
+        spread * z,
+        spread * np.sqrt(np.diag(scaled)),
+        float(z @ np.linalg.pinv(scaled, hermitian=True) @ z),
+        weights[first:],
+    )

@@ -1,0 +1,149 @@
+"""Every limit of a decision in one record, each with where it comes from; `diagnosis.json` repeats them.
+
+A drop of chi-square is counted in units of the noise power of one sample. What depends on the number of samples, on
+the noise or on the device's own misfit is measured on the data instead and is no field here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+__all__ = ["Limits"]
+
+
+def _limit(value: float, provenance: str) -> Any:
+    return field(default=value, metadata={"provenance": provenance})
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When an answer is given; each field's provenance is in its metadata, see `with_provenance`.
+
+    "Own simulator" below means devices drawn by `vo2_models.device.truth` with composite recordings of 4 000 to
+    10 000 samples.
+    """
+
+    stamps: float = _limit(
+        0.25,
+        "share of the squared misfit that commands moved by one sample period may leave to count as stamped at the other "
+        "end of their interval: one period off is most of a misfit, or none",
+    )
+    whole_period: float = _limit(
+        0.1,
+        "distance from a whole sample period, in periods, of a delay that counts as a convention of the stamps",
+    )
+    gain: float = _limit(
+        400.0,
+        "least drop of chi-square of a named effect: the largest on some fifty effect-free recordings of the own "
+        "simulator was 329",
+    )
+    evident_gain: float = _limit(
+        25.0,
+        "the same of an effect that the values show by themselves, as those of a coarse converter do: 5 sigma",
+    )
+    sigmas: float = _limit(
+        4.0,
+        "least distance of a magnitude from zero, in its standard deviations: 6e-5 two-sided, for some 30 effects",
+    )
+    switching: float = _limit(
+        0.5,
+        "standard deviation of a switching time, as a share of how long it was on: beyond, no edge is seen",
+    )
+    slack: float = _limit(
+        0.12, "residual power beyond the noise, in noise powers, of unchanged devices of the own simulator"
+    )
+    complete: float = _limit(
+        0.75,
+        "share of the excess beyond `slack` that names explain together: half of a second effect is left out below",
+    )
+    complete_rivalled: float = _limit(
+        0.9, "the same for a single name with a rival that explains more than `dominated` of it: wrong names of the own "
+        "simulator explained up to 0.85",
+    )  # fmt: skip
+    dominated: float = _limit(
+        0.5,
+        "share of a name's gain that another effect alone must not reach: an equation a little off has no rival",
+    )
+    complete_pair: float = _limit(0.95, "`complete` for two names: two wrong ones together fit much")
+    complete_matched: float = _limit(
+        0.8, "the same where no other pair with one of the two explains `dominated` of what the other adds"
+    )
+    share: float = _limit(
+        0.25,
+        "least share of a name's gain that shows on held-out blocks, and of the excess that a correction without a name "
+        "removes there: false names explained 0.04 to 0.06, true ones 0.5 to 0.65 in the median",
+    )
+    second: float = _limit(0.55, "a second effect explains at least this share of what the first leaves over")
+    second_of_all: float = _limit(
+        0.005,
+        "and this share of the excess of the channels where it acts: a model discrepancy of 7 % leaves as much",
+    )
+    thorough: float = _limit(
+        0.85, "from this share on the two limits around it do not matter: no wrong equation leaves so little"
+    )
+    second_cosine: float = _limit(
+        0.25,
+        "largest cosine of a second effect's pattern with the first's: an equation a little off leaves its like",
+    )
+    excess: float = _limit(
+        0.25,
+        "where nothing is named, a recording differs from this residual power beyond the noise on: twice `slack`",
+    )
+    channel_excess: float = _limit(0.4, "the same of a single channel, of several to choose from")
+    plain: float = _limit(
+        0.4, "excess below which a residual that nothing predicts on held-out blocks is noise or misfit"
+    )
+    rival: float = _limit(
+        25.0, "difference of chi-square below which two effects are not told apart: 5 sigma"
+    )
+    apart: float = _limit(
+        100.0,
+        "difference of chi-square to every other effect where constants could stand for the name: 10 sigma",
+    )
+    tie: float = _limit(
+        0.02,
+        "pairs within this share of what the best leaves over are equal: the one with fewer parameters is named",
+    )
+    drift_p: float = _limit(
+        1e-6,
+        "probability, for unchanged constants, of a squared move over its covariance as large as the one from which they "
+        "have moved; the chi-square quantile for 7 or 8 constants is about 41, of 13 unchanged devices of the own simulator, "
+        "whose loops are of another family than the model's, the largest was 15",
+    )
+    constant_moved: float = _limit(
+        4.0, "move of one constant, in standard deviations, from which it is listed"
+    )
+    large_move: float = _limit(
+        5.0,
+        "move of a constant, in standard deviations, that may hide an effect: beyond, hypotheses are tried unmoved too",
+    )
+    quiet: float = _limit(
+        1.4, "residual power over noise power up to which a channel's residual is taken for its noise"
+    )
+    faint: float = _limit(25.0, "score from which a refit could make a hypothesis worth a name: 5 sigma")
+    unseen: float = _limit(
+        50.0, "chi-square of an effect of typical size below which these recordings do not excite it: 7 sigma"
+    )
+    temper: float = _limit(
+        8.0,
+        "divides log likelihood ratios: effective samples are fewer than samples by the misfit's correlation",
+    )
+    temper_on_one_loop: float = _limit(
+        0.1, "the same on one loop only, as a share of what the best effect explains"
+    )
+    separated: float = _limit(
+        8.0,
+        "predicted distance of two explanations, in standard deviations, from which an experiment is worth proposing",
+    )
+
+    def least_gain(self, *, evident: bool) -> float:
+        """Least drop of chi-square with which a hypothesis is named."""
+        return self.evident_gain if evident else self.gain
+
+    def with_provenance(self) -> dict[str, dict[str, float | str]]:
+        """Return name -> value and provenance, for `diagnosis.json`."""
+        return {
+            each.name: {"value": getattr(self, each.name), "provenance": each.metadata["provenance"]}
+            for each in fields(self)
+        }

@@ -1,0 +1,300 @@
+"""The page that a lab colleague reads: verdict, where, what, gain, what next."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.diagnosis.breakdown import Breakdown
+from vo2_models.diagnosis.nominal import JUDGED_UNIT
+from vo2_models.diagnosis.result import Diagnosis, NamedEffect
+from vo2_models.diagnosis.stages import Study
+from vo2_models.page.figures import figure_html, new_figure
+from vo2_models.page.page import page, paragraph, section, table
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
+
+__all__ = ["report_page"]
+
+Floats = NDArray[np.float64]
+SHOWN = {
+    RESISTANCE: ("resistance", "residual of\nlog10(R/ohm) / 0.001", 1e3),
+    TIP_DEFLECTION: ("deflection", "residual of\ndeflection / um", 1e6),
+    STAGE_TEMPERATURE: ("stage temperature", "residual of\ntemperature / K", 1.0),
+    HEATER_CURRENT: ("heater current", "residual of\ncurrent / mA", 1e3),
+}
+BEFORE, AFTER, NOISE = "#D55E00", "#0072B2", "#999999"
+"""From the palette of Okabe and Ito; line style and label carry the meaning too."""
+
+
+def report_page(study: Study, diagnosis: Diagnosis) -> str:
+    """Return the self-contained HTML page."""
+    parts = [_agreement(study)] if diagnosis.verdict == "agrees" else [_where(study, diagnosis)]
+    if diagnosis.moved:
+        parts.append(_moved(diagnosis))
+    if diagnosis.effects:
+        parts.append(_what(study, diagnosis))
+    parts += [_gain(study, diagnosis), _next(diagnosis), _data(study, diagnosis)]
+    return page("Diagnosis: simulation against recording", diagnosis.summary, parts)
+
+
+def _agreement(study: Study) -> str:
+    return section(
+        "How they agree",
+        paragraph(
+            "Before: the fitted simulation as it is. After: with what a refit of loop shape and heat, within the "
+            "uncertainty of the calibration, makes of it."
+        ),
+        _residual_figure(study),
+    )
+
+
+def _where(study: Study, diagnosis: Diagnosis) -> str:
+    rows = [
+        (
+            SHOWN[p.signal][0],
+            f"{100 * p.share:.0f} %",
+            p.branch,
+            "-"
+            if p.temperature_degC is None
+            else f"{p.temperature_degC[0]:.1f} to {p.temperature_degC[1]:.1f}",
+            f"{p.frequency_hz[0]:.3g} to {p.frequency_hz[1]:.3g}",
+            ", ".join(f"{a:.4g}-{b:.4g}" for a, b in p.time_s[:4]) + (" ..." if len(p.time_s) > 4 else ""),
+        )
+        for p in diagnosis.location
+    ]
+    return section(
+        "Where it differs",
+        paragraph(
+            "Excess is residual energy beyond the noise, in units of the noise's own; what a refit of loop "
+            "shape and heat can absorb is taken off first. Shares of the channels add up to one."
+        ),
+        table(
+            "Location of the excess",
+            ("channel", "share", "branch", "temperature / degC", "frequency / Hz", "mostly at / s"),
+            rows,
+        ),
+        _residual_figure(study),
+        _map_figure(study.decision.breakdown),
+    )
+
+
+def _residual_figure(study: Study) -> str:
+    """Residual over time, before and after, per channel of the first recording."""
+    problem = study.located.problem
+    rows = [(row, part) for row, part, _ in problem.iterate() if row.part == 0]
+    left = problem.residual
+    after = _explained_residual(study)
+    with new_figure(7.2, 1.9 * len(rows) + 0.4) as figure:
+        axes = np.atleast_1d(figure.subplots(len(rows), 1, sharex=True))
+        for axis, (row, part) in zip(axes, rows, strict=True):
+            noise = problem.nominal.noise[row.channel]
+            weight = np.where(problem.weight[row.where] > 0, problem.weight[row.where], 1.0)
+            _, label, scale = SHOWN[row.channel]
+            time = part.time_s - part.time_s[0]
+            for vector, colour, name in ((left, BEFORE, "before"), (after, AFTER, "after")):
+                plain = noise.color(vector[row.where] / weight) * scale
+                low, high, middle = _envelope(time, plain)
+                axis.fill_between(middle, low, high, color=colour, alpha=0.55, linewidth=0, label=name)
+            for sign in (-2, 2):
+                axis.axhline(sign * noise.level * scale, color=NOISE, linestyle="--", linewidth=0.8)
+            axis.set_ylabel(label)
+        axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+        axes[-1].set_xlabel("time / s")
+        return figure_html(
+            figure,
+            "Residual (measured minus simulated) over time, before and after; each band spans the "
+            "smallest and largest value of an interval, dashed lines are two standard deviations of the noise. After: with the "
+            "correction, and the loop shape refitted within the uncertainty of the calibration.",
+        )
+
+
+def _explained_residual(study: Study) -> Floats:
+    if study.decision.chosen is not None:
+        residual = study.decision.final.residual - study.decision.chosen.deviation
+        return study.decision.final.apply_inverse_covariance(residual)
+    left = study.located.problem.apply_inverse_covariance(study.located.problem.residual)
+    return left - study.decision.unnamed.prediction if study.decision.unnamed is not None else left
+
+
+def _envelope(time: Floats, values: Floats, pieces: int = 500) -> tuple[Floats, Floats, Floats]:
+    edges = np.unique(np.linspace(0, time.size, min(pieces, time.size) + 1).astype(int))[:-1]
+    return (
+        np.minimum.reduceat(values, edges),
+        np.maximum.reduceat(values, edges),
+        time[edges],
+    )
+
+
+def _map_figure(parts: tuple[Breakdown, ...]) -> str:
+    """Excess energy per channel over temperature, frequency, branch and memory."""
+    shown = [b for b in parts if b.excess > 0]
+    if not shown:
+        return ""
+    colours = dict(zip(SHOWN, ("#0072B2", "#D55E00", "#009E73", "#CC79A7"), strict=True))
+    marks = dict(zip(SHOWN, ("-", "--", ":", "-."), strict=True))
+    with new_figure(7.2, 4.4) as figure:
+        grid = figure.subplots(2, 2)
+        for b in shown:
+            name, style = SHOWN[b.channel][0], {"color": colours[b.channel], "linestyle": marks[b.channel]}
+            edges, energy = b.axes["temperature"]
+            grid[0, 0].stairs(energy / max(b.excess, 1e-9), edges, label=name, **style)
+            frequency, power = b.axes["frequency"]
+            grid[0, 1].semilogx(
+                frequency[1:], np.cumsum(power)[1:] / max(float(np.sum(power)), 1e-9), **style
+            )
+        width = 0.8 / len(shown)
+        for place, (axis, key, title) in enumerate(
+            ((grid[1, 0], "branch", "branch"), (grid[1, 1], "reversals", "open reversals (minor-loop depth)"))
+        ):
+            for k, b in enumerate(shown):
+                labels, energy = b.axes[key]
+                x = np.arange(len(labels)) + (k - 0.5 * (len(shown) - 1)) * width
+                axis.bar(
+                    x,
+                    energy / max(b.excess, 1e-9),
+                    width,
+                    color=colours[b.channel],
+                    hatch=("", "//", "..", "xx")[k],
+                )
+                axis.set_xticks(np.arange(len(labels)), labels)
+            axis.set_xlabel(title)
+            axis.set_ylabel("share of the excess")
+            del place
+        grid[0, 0].set_xlabel("film temperature / degC")
+        grid[0, 0].set_ylabel("share of the excess")
+        grid[0, 0].legend()
+        grid[0, 1].set_xlabel("frequency / Hz")
+        grid[0, 1].set_ylabel("share below")
+        return figure_html(
+            figure,
+            "Where each channel's excess sits: over film temperature, over frequency (cumulative), on which branch, "
+            "and how deep in minor loops.",
+        )
+
+
+def _what(study: Study, diagnosis: Diagnosis) -> str:
+    parts = [_effect(effect) for effect in diagnosis.effects]
+    if diagnosis.candidates:
+        rows = [
+            (
+                c.id + (f" ({SHOWN[c.signal][0]})" if c.signal else ""),
+                f"{c.probability:.3f}",
+                f"{100 * c.explained_share:.0f} %",
+                c.why_not or "the answer",
+            )
+            for c in diagnosis.candidates
+        ]
+        parts.append(table("Candidates", ("effect", "probability", "of the excess", "why, or why not"), rows))
+    for first, second in diagnosis.indistinguishable:
+        parts.append(paragraph(f"{first} and {second} explain these recordings equally well."))
+    if diagnosis.not_excited:
+        parts.append(
+            paragraph(
+                "Not excited by these recordings, so neither present nor absent: "
+                + ", ".join(diagnosis.not_excited)
+                + "."
+            )
+        )
+    return section("What was left out", *parts)
+
+
+def _moved(diagnosis: Diagnosis) -> str:
+    """Constants that have moved since the calibration."""
+    rows = [
+        (m.constant, f"{m.was:.6g}", f"{m.now:.6g}", f"{m.std:.2g}", "" if m.unit == "1" else m.unit)
+        for m in diagnosis.moved
+    ]
+    return section(
+        "Constants that have moved",
+        paragraph("Another day is not new physics: the same equations with other constants."),
+        table("Constants", ("constant", "was", "is", "standard deviation", "unit"), rows),
+    )
+
+
+def _effect(effect: NamedEffect) -> str:
+    name = effect.id.replace("_", " ") + (f" on {SHOWN[effect.signal][0]}" if effect.signal else "")
+    parts = [
+        f"<h3>{name} (probability {effect.probability:.2f})</h3>",
+        paragraph(f"Family: {effect.family}. Form: {effect.form}."),
+        *(
+            [paragraph(f"Not told from {', '.join(effect.siblings)} by these recordings.")]
+            if effect.siblings
+            else []
+        ),
+        paragraph(effect.statement),
+        paragraph(f"Added term: {effect.equation}"),
+    ]
+    if effect.parameters:
+        rows = [
+            (key, f"{e.value:.4g}", f"{e.std:.2g}" if e.std else "not fitted", e.unit)
+            for key, e in effect.parameters.items()
+        ]
+        parts.append(table("Parameters", ("parameter", "value", "standard deviation", "unit"), rows))
+    return "\n".join(parts)
+
+
+def _gain(study: Study, diagnosis: Diagnosis) -> str:
+    rows = [
+        (
+            SHOWN[c][0],
+            f"{100 * f.nrmse_before:.3f} %",
+            f"{100 * f.nrmse_after:.3f} %",
+            f"{100 * f.noise_floor:.3f} %",
+        )
+        for c, f in diagnosis.fit.items()
+    ]
+    return section(
+        "What it gains",
+        paragraph(
+            "Root mean square error over the channel's range, on long blocks that were left out of the fit "
+            "(two folds of alternating blocks). What the calibration leaves open in the shape of the loops is refitted "
+            "on the other blocks, which helps only where they went through the same loops: an unchanged device too may lie well "
+            "above its noise here. The verdict counts that as uncertainty of the calibration, the table as an error."
+        ),
+        table("Held-out error", ("channel", "before", "after", "noise floor"), rows),
+    )
+
+
+def _next(diagnosis: Diagnosis) -> str:
+    proposal = diagnosis.next_experiment
+    if proposal is None:
+        return section("What to record next", paragraph(_nothing_next(diagnosis)))
+    return section("What to record next", paragraph(proposal.why), paragraph(proposal.instruction))
+
+
+def _nothing_next(diagnosis: Diagnosis) -> str:
+    if any(e.id == "unknown" for e in diagnosis.effects):
+        return (
+            "No known explanation is near enough to design an experiment for. Repeat the recording to see whether the "
+            "difference comes back, then slower or faster, and with smaller steps: what it follows tells what it is."
+        )
+    return "Nothing: no two explanations are left to tell apart."
+
+
+def _data(study: Study, diagnosis: Diagnosis) -> str:
+    rows = [
+        (
+            part.name,
+            f"{part.size}",
+            f"{part.dt:.4g}",
+            ", ".join(SHOWN[c][0] for c in part.channels),
+            "at its first current" if part.settled else "at rest, cold",
+        )
+        for part in study.located.problem.parts
+    ]
+    limits = [paragraph(text) for text in diagnosis.limits] or [paragraph("Nothing limits the answer.")]
+    noise = [
+        (
+            SHOWN[c][0],
+            f"{n.level:.3g}",
+            JUDGED_UNIT[c],
+            ", ".join(f"{a:.2f}" for a in n.ar) or "none: white",
+        )
+        for c, n in study.located.problem.nominal.noise.items()
+    ]
+    return section(
+        "The data",
+        table("Recordings", ("recording", "samples", "period / s", "channels", "began"), rows),
+        table("Noise", ("channel", "level", "unit", "correlation with the samples before (AR)"), noise),
+        *limits,
+    )

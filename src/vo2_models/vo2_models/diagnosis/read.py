@@ -1,0 +1,221 @@
+"""First stage: recordings made ready for comparison, with what limits an answer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.diagnosis.breakdown import one_loop
+from vo2_models.diagnosis.check import Finding, Unusable, check_recording
+from vo2_models.diagnosis.limits import Limits
+from vo2_models.diagnosis.nominal import Nominal, Response, loop_ends
+from vo2_models.diagnosis.nuisance import LoopShape, coverage, loop_shapes
+from vo2_models.diagnosis.part import Part, prepare
+from vo2_models.diagnosis.progress import Clock
+from vo2_models.recording import Recording, aligned
+
+__all__ = ["Reading", "read"]
+
+Floats = NDArray[np.float64]
+STEP = 0.1
+"""Step of a delay around its best, in sample periods."""
+ONE_LOOP = Finding(
+    "one loop",
+    "the film went over one and the same loop only, on which many effects look alike, and may look like another loop: "
+    "steps, smaller loops and other rates would tell more",
+)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Recordings ready for comparison.
+
+    Attributes
+    ----------
+    nominal : fitted simulation
+    shapes : channel -> posterior of its loop shape
+    parts : recordings in judged units, with the samples that count
+    findings : limits of the data
+    one_loop : whether the film went over one loop only, on which many effects look alike
+    """
+
+    nominal: Nominal
+    shapes: Mapping[str, LoopShape]
+    parts: tuple[Part, ...]
+    findings: tuple[Finding, ...]
+    one_loop: bool
+
+
+def read(
+    recordings: Sequence[Recording], nominal: Nominal, names: Sequence[str], limits: Limits, clock: Clock
+) -> Reading:
+    """Check recordings, put them on regular grids, find how they began, and leave out what cannot be judged.
+
+    Parameters
+    ----------
+    recordings : of one device
+    nominal : fitted simulation
+    names : of the recordings, for messages; empty for numbers
+    limits : when a command counts as stamped at the other end of its interval
+    clock : told what is being done
+
+    Raises
+    ------
+    Unusable : data with which nothing can be said; one line with the reason.
+    """
+    clock.say("checking the data")
+    if not recordings:
+        raise Unusable("recording: found none, need at least one")
+    findings: list[Finding] = []
+    parts = []
+    for number, raw in enumerate(recordings, 1):
+        recording = aligned(raw, nominal.model.command_delay)
+        name = names[number - 1] if names else f"recording {number}"
+        findings += check_recording(recording, nominal, name=name)
+        parts.append(prepare(recording, nominal, name=name))
+    clock.say("simulating the recordings")
+    shapes = loop_shapes(nominal)
+    corrected = replace(nominal, corrections={c: s.fold() for c, s in shapes.items()})
+    parts, stamps = _restamped(parts, corrected, limits)
+    findings += stamps
+    started = [_detect_initial_state(part, corrected) for part in parts]
+    parts, findings = _mask_after_gaps(started, nominal, findings)
+    paths = [response.temperature for _, response in started]
+    parts, findings = _mask_uncovered(parts, paths, nominal, tuple(shapes), findings)
+    repeating = one_loop(paths, [part.dt for part in parts])
+    if repeating:
+        findings = [*findings, ONE_LOOP]
+    return Reading(nominal, shapes, tuple(parts), tuple(findings), repeating)
+
+
+def _restamped(parts: Sequence[Part], nominal: Nominal, limits: Limits) -> tuple[list[Part], list[Finding]]:
+    """Move commands that are stamped at the other end of the interval which they govern to where they act.
+
+    One sample period early or late, and nothing between, is a convention of the rig and no physics. Where an answer comes
+    before its command only the stamps can be wrong; where it comes one period late, a dead time of just that length is
+    the alternative, and hardly one.
+    """
+    found, told = [], []
+    for part in parts:
+        misfit = {k: _misfit(part, nominal, k) for k in (-1.0, 0.0, 1.0)}
+        best = min((-1.0, 1.0), key=lambda k: misfit[k])
+        if misfit[best] < limits.stamps * misfit[0.0] and _peaks_at(best, part, nominal, limits):
+            part = replace(part, current=_shifted(part.current, best))
+            end = "end" if best < 0 else "start"
+            told.append(
+                Finding(
+                    "stamps",
+                    f"{part.name}: commands act {part.dt:.4g} s {'before' if best < 0 else 'after'} where they stand: taken as "
+                    f"stamped at the {end} of the interval that they govern, recording.command_delay {best * part.dt:+.4g} s "
+                    "beside that of the model",
+                )
+            )
+        found.append(part)
+    return found, told
+
+
+def _peaks_at(whole: float, part: Part, nominal: Nominal, limits: Limits) -> bool:
+    """Whether the delay that fits best is a whole sample period, by the parabola through three misfits."""
+    low, middle, high = (_misfit(part, nominal, whole + step) for step in (-STEP, 0.0, STEP))
+    bend = low - 2.0 * middle + high
+    return bend > 0.0 and abs(0.5 * STEP * (low - high) / bend) < limits.whole_period
+
+
+def _misfit(part: Part, nominal: Nominal, delay: float) -> float:
+    """Squared difference from the simulation over the noise, outliers held, with commands later by `delay` periods."""
+    response = nominal.respond(_shifted(part.current, delay), part.dt, settled=part.settled)
+    total = 0.0
+    for channel in part.channels:
+        gap = (part.observed[channel] - response.channels[channel])[part.valid[channel]]
+        total += float(np.sum(np.minimum((gap / nominal.noise[channel].level) ** 2, 1e6)))
+    return total
+
+
+def _shifted(current: Floats, delay: float) -> Floats:
+    """A held current (n,), each value the mean over its interval, later by `delay` sample periods."""
+    whole = int(np.floor(delay))
+    share = delay - whole
+    place = np.arange(current.size) - whole
+    first, second = (current[np.clip(p, 0, current.size - 1)] for p in (place, place - 1))
+    return np.ascontiguousarray((1.0 - share) * first + share * second)
+
+
+def _detect_initial_state(part: Part, nominal: Nominal) -> tuple[Part, Response]:
+    """Take a recording as begun at its first current where that fits its first samples far better than a cold start."""
+    tau = nominal.model.scalars["thermal.time_constant"]
+    first = int(np.clip(np.ceil(5 * tau / part.dt), 3, part.size // 10))
+    cold, warm = (nominal.respond(part.current, part.dt, settled=settled) for settled in (False, True))
+    misses = []
+    for response in (cold, warm):
+        miss = 0.0
+        for channel in part.channels:
+            noise = nominal.noise[channel].level
+            gap = (part.observed[channel] - response.channels[channel])[:first][part.valid[channel][:first]]
+            miss += float(np.sum(np.minimum((gap / noise) ** 2, 1e6)))
+        misses.append(miss)
+    if misses[1] < 0.2 * misses[0] - 100:
+        return replace(part, settled=True), warm
+    return part, cold
+
+
+def _mask_after_gaps(
+    started: Sequence[tuple[Part, Response]], nominal: Nominal, findings: Sequence[Finding]
+) -> tuple[list[Part], list[Finding]]:
+    """Leave out what follows a long gap until the loops have forgotten it: until the film was outside of them."""
+    low, high = loop_ends(nominal.device)
+    parts, lost, count = [], 0, 0
+    for part, response in started:
+        known = np.ones(part.size, dtype=bool)
+        outside = np.flatnonzero((response.temperature < low) | (response.temperature > high))
+        settling = int(np.ceil(8 * nominal.model.scalars["thermal.time_constant"] / part.dt))
+        for begin, end in part.blind:
+            later = outside[outside >= end + settling]
+            known[begin : int(later[0]) if later.size else part.size] = False
+        parts.append(replace(part, valid={c: good & known for c, good in part.valid.items()}))
+        lost, count = lost + int(np.count_nonzero(~known)), count + part.size
+    if not lost:
+        return parts, list(findings)
+    if lost > 0.7 * count:
+        raise Unusable(
+            f"recordings: after gaps the state of the loops is unknown for {lost} of {count} samples; record without "
+            "gaps, or give the pieces between them as recordings of their own"
+        )
+    forgotten = Finding(
+        "forgotten",
+        f"{100 * lost / count:.1f} % of the samples lie in or after long gaps, before the film left the loops: "
+        "they are not judged",
+    )
+    return parts, [*findings, forgotten]
+
+
+def _mask_uncovered(
+    given: Sequence[Part],
+    paths: Sequence[Floats],
+    nominal: Nominal,
+    channels: Sequence[str],
+    findings: Sequence[Finding],
+) -> tuple[list[Part], list[Finding]]:
+    """Leave out of these channels what happens at temperatures (n,) [degC] that the calibration did not cover."""
+    covered = coverage(nominal)
+    parts, beyond, count = [], 0, 0
+    for part, path in zip(given, paths, strict=True):
+        inside = covered.holds(path)
+        beyond, count = beyond + int(np.count_nonzero(~inside)), count + part.size
+        valid = {c: good & inside if c in channels else good for c, good in part.valid.items()}
+        parts.append(replace(part, valid=valid))
+    if not beyond:
+        return parts, list(findings)
+    if count - beyond < 100:
+        raise Unusable(
+            f"recordings: {beyond} of {count} samples are outside of {covered}, which is what the calibration covers; "
+            "fit a calibration that covers them"
+        )
+    uncovered = Finding(
+        "beyond",
+        f"{100 * beyond / count:.1f} % of the samples are at temperatures outside of {covered}, "
+        "which the calibration hardly covers: they are not judged",
+    )
+    return parts, [*findings, uncovered]

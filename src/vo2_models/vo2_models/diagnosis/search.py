@@ -1,0 +1,222 @@
+"""Third stage: every effect of the catalogue tried, the promising ones refitted alone and in pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vo2_models.diagnosis.drift import drift_of
+from vo2_models.diagnosis.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
+from vo2_models.diagnosis.hypotheses import Hypothesis, hypotheses
+from vo2_models.diagnosis.limits import Limits
+from vo2_models.diagnosis.locate import Located
+from vo2_models.diagnosis.pairs import Option, option_of, pair_of, refit_about
+from vo2_models.diagnosis.parallel import parallel_map
+from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
+from vo2_models.diagnosis.progress import Clock
+
+__all__ = ["Search", "completeness", "search"]
+
+SHORTLIST = 6
+"""Hypotheses that are refitted in full."""
+RELINEARISED = 3
+"""Explanations that are linearised about themselves, where constants may stand for them."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """What was tried, and what may be the answer.
+
+    Attributes
+    ----------
+    candidates : every hypothesis that can show in these channels
+    scores : all hypotheses by promise
+    singles : refitted single explanations, best first
+    options : what may be the answer, best first: two effects, one effect
+    hidden : whether the nuisance model moved so far that it may hide an effect
+    not_excited : ids of effects that these recordings would not show
+    """
+
+    candidates: tuple[Hypothesis, ...]
+    scores: tuple[Score, ...]
+    singles: tuple[Explanation, ...]
+    options: tuple[Option, ...]
+    hidden: bool
+    not_excited: tuple[str, ...]
+
+
+def search(located: Located, limits: Limits, clock: Clock, *, one_loop: bool) -> Search:
+    """Score all hypotheses, refit the promising ones, and look for a second effect beside the best.
+
+    Where the constants had to move far to absorb a mismatch, they may have absorbed an effect: hypotheses are then tried
+    with constants as the calibration left them as well, and the better of both counts.
+
+    Parameters
+    ----------
+    located : the problem without effects
+    limits : when something counts
+    clock : told what is being done
+    one_loop : whether many effects look alike in these recordings, so that more of them are refitted
+    """
+    problem = located.problem
+    candidates = hypotheses(problem, located.nominal.device, located.remaining)
+    clock.expected = 2 * sum(len(h.starts) for h in candidates) + 40 * SHORTLIST + 200
+    clock.say(f"trying {len(candidates)} effects")
+    shortlist = 2 * SHORTLIST if one_loop else SHORTLIST
+    hidden = drift_of(problem, problem.residual).significant(limits.drift_p)
+    scores = score(problem, candidates, problem.residual, tick=clock.tick)
+    clock.say("refitting the most promising")
+    fits = _refitted(problem, scores, limits, shortlist, clock)
+    if hidden:
+        fits += _with_fixed_constants(located, candidates, limits, shortlist, clock)
+    before = problem.residual_chi_square
+    best: dict[str, Explanation] = {}
+    for fit in sorted(fits, key=lambda e: e.chi_square):
+        best.setdefault(fit.keys[0], replace(fit, gain=before - fit.chi_square))
+    singles = sorted(best.values(), key=lambda e: e.chi_square + len(e.coordinates) * np.log(problem.count))
+    options = _options(located, singles, candidates, limits, clock)
+    return Search(
+        tuple(candidates), tuple(scores), tuple(singles), tuple(options), hidden,
+        tuple(_not_excited(scores, limits)),
+    )  # fmt: skip
+
+
+def _refitted(
+    problem: LinearisedProblem,
+    scores: Sequence[Score],
+    limits: Limits,
+    shortlist: int,
+    clock: Clock,
+) -> list[Explanation]:
+    """Refit the most promising hypotheses; those that may be the answer, or its rivals, to the end."""
+    promising = [s for s in scores if s.gain > max(0.08 * scores[0].gain, limits.faint)][:shortlist]
+
+    def briefly(s: Score) -> Explanation:
+        start = switched(problem, s.hypothesis, s.start, problem.residual, tick=clock.tick)
+        return fit_jointly(problem, [s.hypothesis], [start], iterations=BRIEF, tick=clock.tick)
+
+    fits = parallel_map(briefly, promising)
+    most = max((fit.gain for fit in fits), default=0.0)
+
+    def finished(fit: Explanation) -> Explanation:
+        if fit.gain <= 0.5 * most:
+            return fit
+        again = fit_jointly(problem, fit.hypotheses, fit.values, tick=clock.tick)
+        return again if again.chi_square < fit.chi_square else fit
+
+    return parallel_map(finished, fits)
+
+
+def _with_fixed_constants(
+    located: Located,
+    candidates: Sequence[Hypothesis],
+    limits: Limits,
+    shortlist: int,
+    clock: Clock,
+) -> list[Explanation]:
+    """Refits with constants as the calibration left them: what is an effect then is no drift that resembles it.
+
+    Constants that follow an effect are far from where they were, and the simulation is not linear that far: the best fits
+    are linearised about themselves once more.
+    """
+    problem = located.problem
+    fixed = linearise_problem(
+        located.nominal,
+        problem.parts,
+        drifts=False,
+        shapes=problem.shapes,
+        loops=problem.loops,
+        say=clock.say,
+    )
+    scores = score(fixed, candidates, fixed.residual, tick=clock.tick)
+    fits = sorted(_refitted(fixed, scores, limits, shortlist, clock), key=lambda e: e.chi_square)
+
+    def again(fit: Explanation) -> Explanation:
+        return refit_about(located.nominal, fixed, fit, tick=clock.tick)[1]
+
+    return [*parallel_map(again, fits[:RELINEARISED]), *fits[RELINEARISED:]]
+
+
+def _options(
+    located: Located,
+    singles: Sequence[Explanation],
+    candidates: Sequence[Hypothesis],
+    limits: Limits,
+    clock: Clock,
+) -> list[Option]:
+    """What could be the answer, best first: two effects, one effect."""
+    problem = located.problem
+    first = _best_inside(singles)
+    if first is None or first.gain <= limits.least_gain(evident=first.hypotheses[0].evident):
+        return []
+    clock.say("linearising about the explanation")
+    alone = option_of(located.nominal, problem, first, singles, tick=clock.tick)
+    clock.say("looking for a second effect")
+    pair = pair_of(located.nominal, problem, alone, candidates, limits, tick=clock.tick)
+    if pair is None and first.cornered:
+        pair = _pair_in_place_of_one(located, alone, singles, candidates, limits, clock)
+    if pair:
+        needed = limits.complete_matched if _matched(pair, alone, limits) else limits.complete_pair
+        if completeness(pair.chosen, pair.remaining, problem, limits) >= needed:
+            return [pair, alone]
+    return [alone]
+
+
+def _pair_in_place_of_one(
+    located: Located,
+    alone: Option,
+    singles: Sequence[Explanation],
+    candidates: Sequence[Hypothesis],
+    limits: Limits,
+    clock: Clock,
+) -> Option | None:
+    """Two effects that fit better than one which had to go as far as is physical: it may stand for both of them.
+
+    They begin with the best single effect that keeps away from its bounds, and may resemble each other: both must beat
+    what resembles them.
+    """
+    inside = next((e for e in singles if not e.cornered), None)
+    if inside is None or inside.gain <= limits.least_gain(evident=inside.hypotheses[0].evident):
+        return None
+    clock.say("looking for two effects in the place of one")
+    other = option_of(located.nominal, located.problem, inside, singles, tick=clock.tick)
+    alike = replace(limits, second_cosine=1.0)
+    pair = pair_of(located.nominal, located.problem, other, candidates, alike, tick=clock.tick)
+    better = pair is not None and pair.chosen.chi_square < alone.chosen.chi_square - limits.rival
+    return pair if better else None
+
+
+def completeness(
+    explanation: Explanation, remaining: float, problem: LinearisedProblem, limits: Limits
+) -> float:
+    """Share of the excess beyond what unchanged devices show that an explanation takes away."""
+    rest = problem.count * max(remaining - limits.slack, 0.0)
+    return explanation.gain / (explanation.gain + rest)
+
+
+def _matched(pair: Option, alone: Option, limits: Limits) -> bool:
+    """Whether no other partner of one of the two comes near what the other adds."""
+    before = alone.chosen.chi_square
+    best = min(r.chi_square for r in pair.rivals if set(r.keys) == set(pair.chosen.keys))
+    others = [r.chi_square for r in pair.rivals if set(r.keys) != set(pair.chosen.keys)]
+    return before - min(others, default=before) < limits.dominated * (before - best)
+
+
+def _best_inside(explanations: Sequence[Explanation]) -> Explanation | None:
+    """The best that does not end at a physical bound, unless one that does is better by far."""
+    if not explanations:
+        return None
+    inside = [e for e in explanations if not e.at_bound]
+    if inside and inside[0].gain > 0.8 * explanations[0].gain:
+        return inside[0]
+    return explanations[0]
+
+
+def _not_excited(scores: Sequence[Score], limits: Limits) -> list[str]:
+    """Effects that a clearly visible magnitude would not show in these recordings."""
+    seen: dict[str, float] = {}
+    for s in scores:
+        seen[s.hypothesis.record.id] = max(seen.get(s.hypothesis.record.id, 0.0), s.visible)
+    return [name for name, chi_square in seen.items() if chi_square < limits.unseen]
