@@ -14,6 +14,7 @@ MODULES = [
     ".bouc_wen",
     ".compression_gpi",
     ".domains",
+    ".fit_law",
     ".compressive_sensing_gpi",
     ".envelopes",
     ".fitting_gpi",

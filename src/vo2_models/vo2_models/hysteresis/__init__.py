@@ -6,7 +6,7 @@ Plays         envelopes `TanhEnvelopes`, `LinearEnvelopes`, `TabulatedEnvelopes`
               `Polynomial`, `Sine`, `Cosine`, `Tanh`, `MemorylessSum`
 Inverses      `law.inverse(input_range)`; `RobustInverse` (any play model, every reachable output), `AnalyticInverse`,
               `inverse_cpi`, `FixedPointInverse` with `convergence_condition`, `LawInverse` (any law, by bisection)
-From data     `fit_play_model`; `identify_play_weights` (compressive sensing); `preisach`
+From data     `fit_law`, `rank_laws` (any law, judged on held-out excursions); `fit_play_model`; `identify_play_weights` (compressive sensing); `preisach`
 Smaller       `compress`, `partition` (entropy-optimal)
 Compiled use  `type(law).move(u, law.packed, memory, make)`, one signature for every law
 
@@ -60,6 +60,9 @@ _HOME = {
     "merge": "compression_gpi",
     "partition": "compression_gpi",
     "identify_play_weights": "compressive_sensing_gpi",
+    "LawFit": "fit_law",
+    "fit_law": "fit_law",
+    "rank_laws": "fit_law",
     "PlayFit": "fitting_gpi",
     "fit_play_model": "fitting_gpi",
 }

@@ -108,6 +108,7 @@ def fit_play_model(
     free_radii: bool = False,
     initial: Literal["auto", "lower", "upper"] = "auto",
     settling: int = 0,
+    measured: ArrayLike | None = None,
     input_range: tuple[float, float] | None = None,
     shrinkage: float = SHRINKAGE,
     max_evaluations: int = 100,
@@ -128,6 +129,7 @@ def fit_play_model(
     initial : saturation the record starts from; "auto" takes the one that fits better
     settling : first samples that move the plays but are not fitted, where the memory at the start is unknown:
         up to where the input has been through its range once
+    measured : (n,) False where the output is not to be used and only the input matters
     input_range : inputs over which the order of the envelopes is kept; None takes those of the record
     shrinkage : see `SHRINKAGE`
     max_evaluations : of each least-squares run
@@ -167,6 +169,15 @@ def fit_play_model(
         raise ValueError(
             f"settling: found {settling}, need a whole number from 0 to {inputs.size - 2 * unknowns}"
         )
+    kept = np.arange(inputs.size) >= settling
+    if measured is not None:
+        mask = np.asarray(measured, dtype=np.bool_)
+        if mask.shape != inputs.shape or np.count_nonzero(mask & kept) < 2 * unknowns:
+            raise ValueError(
+                f"measured: found shape {mask.shape} with {np.count_nonzero(mask)} True, need {inputs.shape} with "
+                f"at least {2 * unknowns}"
+            )
+        kept &= mask
     low, high = float(inputs.min()), float(inputs.max())
     if input_range is not None:
         given = finite_array(input_range, "input_range", size=2)
@@ -176,7 +187,7 @@ def fit_play_model(
     z, target = (inputs - centre) / half, (outputs - offset) / scale
 
     saturations = (True, False) if initial == "auto" else (initial == "lower",)
-    x, projection, evaluations = _shared(z, target, parameters, saturations, int(settling), max_evaluations)
+    x, projection, evaluations = _shared(z, target, parameters, saturations, kept, max_evaluations)
     if per_play or free_radii:
         richer = replace(parameters, pairs=r.size if per_play else 1, free_radii=free_radii)
         x, projection, more = _richer(x, projection, richer, shrinkage, max_evaluations)
@@ -189,15 +200,15 @@ def _shared(
     y: FloatArray,
     parameters: Parametrisation,
     saturations: tuple[bool, ...],
-    settling: int,
+    kept: NDArray[np.bool_],
     max_evaluations: int,
 ) -> tuple[FloatArray, Projection, int]:
     """First stage: one shared pair. Many starts are looked at, some are run a little, the best two to their end."""
     bounds = parameters.bounds()
     runs = []
-    for arguments, theta in product(starting_arguments(z[settling:], y[settling:]), parameters.basis.starts):
+    for arguments, theta in product(starting_arguments(z[kept], y[kept]), parameters.basis.starts):
         start = np.clip(parameters.pack(arguments, np.array(theta)), *bounds)
-        trials = [Projection(z, y, from_below, parameters, settling) for from_below in saturations]
+        trials = [Projection(z, y, from_below, parameters, kept) for from_below in saturations]
         costs = [float(np.sum(trial.residual(start) ** 2)) for trial in trials]
         runs.append((min(costs), start, trials[int(np.argmin(costs))]))
     evaluations = len(runs) * len(saturations)
@@ -224,7 +235,7 @@ def _richer(
     """Second stage: one envelope pair per play, or free radii, from the shared fit."""
     arguments, _, theta = shared.parameters.unpack(x)
     arguments = arguments[:, : parameters.pairs]
-    projection = Projection(shared.path, shared.record, shared.lower, parameters, shared.settling)
+    projection = Projection(shared.path, shared.record, shared.lower, parameters, shared.kept)
     lower, upper = parameters.bounds()
     start = np.clip(parameters.pack(arguments, theta), lower, upper)
     price = np.zeros(start.size)

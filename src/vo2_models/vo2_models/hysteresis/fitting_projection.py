@@ -134,15 +134,20 @@ class Linear:
 class Projection:
     """Residual and Jacobian as functions of the nonlinear vector alone, for one record in normalised units.
 
-    `path` (n + settling,) drives the plays; the fit is judged on its last n samples `z`, with outputs `y`.
+    `path` (m,) drives the plays; the fit is judged on its samples `kept` (m,), the inputs `z` with outputs `y` (n,).
     """
 
     def __init__(
-        self, path: FloatArray, y: FloatArray, lower: bool, parameters: Parametrisation, settling: int = 0
+        self,
+        path: FloatArray,
+        y: FloatArray,
+        lower: bool,
+        parameters: Parametrisation,
+        kept: NDArray[np.bool_],
     ) -> None:
-        self.path, self.record, self.settling = path, y, settling
+        self.path, self.record, self.kept = path, y, kept
         self.lower, self.parameters = lower, parameters
-        self.z, self.y = path[settling:], y[settling:]
+        self.z, self.y = path[kept], y[kept]
         self._last: tuple[bytes, Linear] | None = None
 
     def regressors(self, x: FloatArray) -> FloatArray:
@@ -150,7 +155,7 @@ class Projection:
         arguments, radii, _ = self.parameters.unpack(x)
         outputs = np.empty((self.path.size, radii.size))
         fitting_kernels.regressors(self.path, arguments, radii, self.lower, outputs)
-        return outputs[self.settling :]
+        return outputs[self.kept]
 
     def linear(self, x: FloatArray) -> Linear:
         """Best weights >= 0, bias and memoryless coefficients for x."""
@@ -195,7 +200,7 @@ class Projection:
         fitting_kernels.derivatives(
             self.path, arguments, radii, self.lower, found.weights, self.parameters.columns(), out
         )
-        out = out[self.settling :]
+        out = out[self.kept]
         if theta.size:
             out[:, -theta.size :] = self.parameters.basis.derivatives(self.z, theta, found.coefficients)
         return out

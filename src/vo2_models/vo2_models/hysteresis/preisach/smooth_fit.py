@@ -11,15 +11,12 @@ from scipy import sparse
 
 from vo2_models.hysteresis.preisach.everett_rows import (
     everett_rows,
-    mass_gradient,
-    mass_gram,
     mass_map,
     node_values,
 )
 from vo2_models.hysteresis.preisach.grid import Diagonal, cell_areas, cell_count, checked_walls, pack
 from vo2_models.hysteresis.preisach.interior_point import nonnegative_masses, signed_masses
 from vo2_models.hysteresis.preisach.least_squares import PreisachFit
-from vo2_models.hysteresis.preisach.nnls import RankDeficientError, normal_equations
 from vo2_models.hysteresis.preisach.operator import PreisachOperator
 from vo2_models.validation import finite_array
 
@@ -28,14 +25,14 @@ __all__ = ["STRENGTHS", "SmoothFit", "fit_smooth", "roughness"]
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
 
-STRENGTHS = tuple(np.logspace(-1, -9, 9).tolist())
+STRENGTHS = tuple(np.logspace(1, -9, 11).tolist())
 """Strengths tried by default, relative to the data's weight, from the smoothest down."""
 
 _RIDGE = 1e-10
 """Relative to the data's weight on each mass: far below the noise of any recording."""
 
-_DENSE = 1500
-"""Cells up to which an active set on the dense normal matrix beats the interior point."""
+_WORSE = 2
+"""Strengths in a row that predict worse than the best before the search for a weaker one ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +42,8 @@ class SmoothFit(PreisachFit):
     Attributes
     ----------
     strength : the one used
-    strengths, held_out_rmse : those tried, and the error on the folds left out [output unit], for the sign used
+    strengths, held_out_rmse : candidates, and the error on the folds left out [output unit], for the sign used; inf
+        where a candidate was not tried any more
     nonnegative : whether densities were held at or above 0
     sign_rmse : least error on the folds left out of densities >= 0, and of signed ones; NaN where not tried
     """
@@ -158,32 +156,14 @@ class SmoothProblem:
         ridge = _RIDGE * rows.shape[0] * (mass.T @ mass)
         return cls(rows, u[used], 1.0 - usual, (weight * (curved.T @ curved)).tocsr(), ridge.tocsr(), areas)
 
-    def solve(
-        self, strength: float, part: Booleans, nonnegative: bool, start: Booleans | None = None
-    ) -> tuple[Floats, float, Booleans | None]:
-        """Return masses (K,), the constant, and which masses are not held at 0, fitted on a part of the samples.
-
-        Raises
-        ------
-        RankDeficientError : the data and the penalty leave something undetermined.
-        """
+    def solve(self, strength: float, part: Booleans, nonnegative: bool) -> tuple[Floats, float]:
+        """Return masses (K,) and the constant, fitted on a part of the samples."""
         rows, outputs = self.rows[part], self.outputs[part]
         penalty = strength * self.penalty
         if not nonnegative:
-            return *signed_masses(rows, outputs, penalty + self.ridge), None
-        if rows.shape[1] > _DENSE:
-            found = nonnegative_masses(rows, outputs, penalty)
-            return found.masses, found.constant, None
-        mean = float(outputs.mean())
-        border = mass_gradient(np.asarray(rows.sum(axis=0)).ravel())
-        size = border.size
-        normal = np.empty((size + 1, size + 1))
-        normal[:size, :size] = mass_gram(rows.T @ rows + penalty + self.ridge)
-        normal[size, :size] = normal[:size, size] = border
-        normal[size, size] = rows.shape[0]
-        right = np.append(mass_gradient(rows.T @ (outputs - mean)), 0.0)
-        x, inner = normal_equations(normal, right, np.arange(size + 1) == size, start)
-        return x[:size], float(x[size]) + mean, inner
+            return signed_masses(rows, outputs, penalty + self.ridge)
+        found = nonnegative_masses(rows, outputs, penalty)
+        return found.masses, found.constant
 
     def residual(self, masses: Floats, constant: float) -> Floats:
         """Measured minus modelled output of all samples (n,)."""
@@ -218,7 +198,8 @@ def fit_smooth(
     resemble each other, so parts are whole `groups`: reversal curves, or blocks of time.
 
     Any level will do: all is sparse in the Everett function at the nodes (`everett_rows`). Signed fits are one sparse
-    factorisation each; non-negative ones an active set up to level 54 and an interior point above.
+    factorisation each, non-negative ones an interior point. Strengths are tried from the smoothest down, and weaker ones
+    no longer once two in a row predict worse than the best.
 
     Parameters
     ----------
@@ -276,24 +257,23 @@ def fit_smooth(
             f"groups: found {np.unique(label[used]).size}, need at least as many as folds, {folds}"
         )
     problem = SmoothProblem.of(inputs, outputs, grid, used, diagonal, history)
-    errors = {sign: np.zeros(tried.size) for sign in signs}
-    try:
-        if compared:
-            for sign in signs:
-                for fold in range(folds):
-                    out = part == fold
-                    inner = None
-                    for k in np.argsort(-tried):
-                        masses, constant, inner = problem.solve(float(tried[k]), ~out, sign, inner)
-                        errors[sign][k] += float(np.sum(problem.residual(masses, constant)[out] ** 2))
-                errors[sign] = np.sqrt(errors[sign] / part.size)
-        chosen = min(signs, key=lambda sign: float(errors[sign].min()))
-        best = float(tried[int(np.argmin(errors[chosen]))])
-        masses, constant, _ = problem.solve(best, np.ones(part.size, dtype=np.bool_), chosen)
-    except RankDeficientError as error:
-        raise ValueError(
-            f"v: found too little excitation ({error}), need inputs at several levels"
-        ) from error
+    errors = {sign: np.full(tried.size, np.inf if compared else 0.0) for sign in signs}
+    for sign in signs if compared else ():
+        worse = 0
+        for k in np.argsort(-tried):
+            squares = 0.0
+            for fold in range(folds):
+                out = part == fold
+                masses, constant = problem.solve(float(tried[k]), ~out, sign)
+                squares += float(np.sum(problem.residual(masses, constant)[out] ** 2))
+            error = np.sqrt(squares / part.size)
+            worse = 0 if error < errors[sign].min() else worse + 1
+            errors[sign][k] = error
+            if worse == _WORSE:
+                break
+    chosen = min(signs, key=lambda sign: float(errors[sign].min()))
+    best = float(tried[int(np.argmin(errors[chosen]))])
+    masses, constant = problem.solve(best, np.ones(part.size, dtype=np.bool_), chosen)
     least = [float(errors[sign].min()) if compared and sign in signs else np.nan for sign in (True, False)]
     return SmoothFit(
         problem.operator(masses, constant, grid, diagonal),
