@@ -6,7 +6,8 @@ Plays         envelopes `TanhEnvelopes`, `LinearEnvelopes`, `TabulatedEnvelopes`
               `Polynomial`, `Sine`, `Cosine`, `Tanh`, `MemorylessSum`
 Inverses      `law.inverse(input_range)`; `RobustInverse` (any play model, every reachable output), `AnalyticInverse`,
               `inverse_cpi`, `FixedPointInverse` with `convergence_condition`, `LawInverse` (any law, by bisection)
-From data     `fit_law`, `rank_laws` (any law, judged on held-out excursions); `fit_play_model`; `identify_play_weights` (compressive sensing); `preisach`
+From data     `fit_law`, `rank_laws` (any law, judged on held-out excursions); `fit_play_model`; `preisach`;
+              `identify_play_weights` (compressive sensing)
 Smaller       `compress`, `partition` (entropy-optimal)
 Compiled use  `type(law).move(u, law.packed, memory, make)`, one signature for every law
 
