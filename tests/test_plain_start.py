@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -137,3 +138,25 @@ def test_a_program_without_our_settings_hears_the_nodes():
             check=False,
         )
     assert "film_resistance" in listener.stdout, listener.stderr
+
+
+@pytest.mark.parametrize("samples", [3_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_three_processes_and_a_recorder_at_1_khz_lose_nothing(tmp_path, samples):
+    environment = plain_environment()
+    topics = [f"/vo2/{role}" for role in ("measurement", "estimate", "reference")]
+    bag = str(tmp_path / "bag")
+    record = [installed("vo2_identification", "record"), "--output", bag, "--messages", str(3 * samples)]
+    parameters = ["--ros-args", "-p", "time:=wall", "-p", "rate_hz:=1000.0"]
+    with (
+        running([*record, "--topics", *topics], environment) as recorder,
+        running([installed("vo2_estimation", "estimator")], environment),
+        running([installed("vo2_control", "reference")], environment),
+        running([installed("vo2_plant_sim", "plant"), *parameters], environment),
+    ):
+        said, _ = recorder.communicate(timeout=PATIENCE_S + samples / 200)
+    print(said)
+    assert recorder.returncode == 0, said
+    assert "did not arrive" not in said
+    counts = {topic: int(count) for topic, count in re.findall(r"(/vo2/\w+) (\d+)[,)]", said)}
+    assert counts.keys() == set(topics)
+    assert sum(counts.values()) == 3 * samples

@@ -279,3 +279,76 @@ def test_what_came_before_the_stop_is_in_the_bag_though_the_recorder_lags_behind
         _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     assert counted(tmp_path / "bag") == {"/vo2/measurement": total}
+
+
+def test_what_does_not_arrive_is_counted_told_and_ends_with_status_1(graph, tmp_path):
+    # best effort with a short queue, and a recorder that stands still: its own queue cannot help
+    sensor = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    publisher = graph.publisher(JointState, "/vo2/measurement", sensor)
+    arguments = ("--output", tmp_path / "bag", "--topics", "/vo2/measurement")
+    with running(RECORD, *arguments) as process:
+        wait_for_recorder(publisher)
+        publish_paced(publisher, [sample(k) for k in range(50)], 500)
+        process.send_signal(signal.SIGSTOP)
+        publish_paced(publisher, [sample(k) for k in range(50, 30_050)], 20_000)
+        process.send_signal(signal.SIGCONT)
+        time.sleep(0.5)
+        publish_paced(publisher, [sample(k) for k in range(30_050, 30_100)], 500)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=PATIENCE_S)
+    kept = counted(tmp_path / "bag")["/vo2/measurement"]
+    assert kept < 30_100
+    assert process.returncode == 1, err
+    assert f"/vo2/measurement: {30_100 - kept} messages were sent and did not arrive" in err
+    assert f"the bag lacks {30_100 - kept} messages, more than --lost-limit 0" in err
+    recording, _ = read_recording(tmp_path / "bag")
+    assert f"{30_100 - kept} sample periods without a sample" in err
+    assert len(recording) == kept
+
+
+def test_malformed_messages_are_left_out_and_counted(graph, tmp_path):
+    publisher = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
+    negative, overflow = bytearray(sample(1)), bytearray(sample(1))
+    negative[4:8] = (-1).to_bytes(4, "little", signed=True)
+    overflow[8:12] = (2_000_000_000).to_bytes(4, "little")
+    with running(RECORD, "--output", tmp_path / "bag") as process:
+        wait_for_recorder(publisher)
+        messages = [sample(1), bytes(negative), bytes(overflow), bytes(overflow), sample(1)[:9], sample(2)]
+        publish_paced(publisher, messages, 100)
+        time.sleep(0.3)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, err
+    assert counted(tmp_path / "bag") == {"/vo2/measurement": 2}
+    assert "/vo2/measurement: 1 left out: its stamp is negative" in err
+    assert "/vo2/measurement: 2 left out: its stamp has more nanoseconds than a second" in err
+    assert "/vo2/measurement: 1 left out: it is cut short" in err
+
+
+@pytest.mark.parametrize("chosen", [("-a",), ("--regex", "^/rig/m")])
+def test_topics_are_taken_as_they_appear(graph, tmp_path, chosen):
+    with running(RECORD, "--output", tmp_path / "bag", *chosen) as process:
+        time.sleep(1.0)
+        measurement = graph.publisher(JointState, "/rig/measurement", LATCHED_QOS)
+        health = graph.publisher(DiagnosticArray, "/rig/health", LATCHED_QOS)
+        measurement.publish(sample(1))
+        health.publish(DiagnosticArray())
+        wait_until(lambda: measurement.get_subscription_count() > 0, "discovery")
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, err
+    found = counted(tmp_path / "bag")
+    assert found["/rig/measurement"] == 1
+    assert ("/rig/health" in found) == (chosen == ("-a",))
+
+
+def test_the_namespace_of_ros_arguments_chooses_the_loop(graph, tmp_path):
+    measurement = graph.publisher(JointState, "/rig/measurement", SAMPLE_QOS)
+    options = ("--output", tmp_path / "bag", "--messages", 1, "--ros-args", "-r", "__ns:=/rig")
+    with running(RECORD, *options) as process:
+        wait_for_recorder(measurement)
+        measurement.publish(sample(1))
+        _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, err
+    assert counted(tmp_path / "bag") == {"/rig/measurement": 1}

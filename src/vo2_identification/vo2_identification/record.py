@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import re
 import sys
 import time
 from collections.abc import Sequence
@@ -11,7 +12,6 @@ from datetime import datetime
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rclpy.executors import Executor
     from vo2_interface.executable import StopFlag
 
     from vo2_identification.bags import BagWriter
@@ -22,17 +22,17 @@ __all__ = ["main"]
 _DESCRIPTION = """
 Record topics into a rosbag2 bag until Ctrl-C, SIGTERM, --duration or --messages. The bag is complete on disk
 twice a second: if the process is killed or the disk is full, any tool still reads it up to there. Log times are
-the stamps of the samples, so a run in simulated time gives the same bag every time.
+the stamps of the samples, so a run in simulated time gives the same bag every time. What is missing is told while
+recording and at the end; a bag that lacks messages ends with status 1.
 """
-_SPIN_S = 0.05
-_ARRIVE_S = 0.1
+_ARRIVE_S = 0.3  # a few times what a publisher takes to notice that something is to be sent again
 _POLL_S = 0.005
 _DRAIN_S = 5.0  # at most, of the queue that a slow disk or busy processors left
 _GATHER_S = 0.02
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0, 1 if the disk failed, 2 on bad input.
+    """Run the command; return its exit status: 0, 1 if the disk failed or messages are missing, 2 on bad input.
 
     Parameters
     ----------
@@ -45,6 +45,12 @@ def main(args: Sequence[str] | None = None) -> int:
         value = getattr(options, name)
         if value is not None and value <= 0:
             return _refuse(f"--{name}: found {value:g}, need a number above 0")
+    if sum(map(bool, (options.topics, options.all, options.regex))) > 1:
+        return _refuse("found several of --topics, --all, --regex; need one of them")
+    try:
+        re.compile(options.regex or "")
+    except re.error as error:
+        return _refuse(f"--regex: found {options.regex!r}, need a regular expression ({error})")
     # rclpy and rosbags take a second to load: --help and bad options do not wait for them
     from vo2_identification.bags import BagError, BagWriter
 
@@ -63,22 +69,28 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) -> int:
-    from vo2_interface.executable import StopFlag, fastest_executor, join_graph, leave_graph
+    from vo2_interface.executable import StopFlag, join_graph, leave_graph
 
     from vo2_identification.recorder_node import Recorder, contract_topics
 
-    known = contract_topics(options.namespace)
-    topics = {name: known.get(name, "") for name in options.topics} if options.topics else known
+    topics = wanted = None
+    if options.topics:
+        known = contract_topics(options.namespace or "/vo2")
+        topics = {name: known.get(name, "") for name in options.topics}
+    elif options.all or options.regex:
+        topics, wanted = {}, re.compile(options.regex or "")
+    elif options.namespace:
+        topics = contract_topics(options.namespace)
     stop = StopFlag()
-    recorder = executor = None
+    recorder = None
     try:
-        join_graph(ros_args)
-        recorder = Recorder(bag, topics)
-        executor = fastest_executor()
-        executor.add_node(recorder)
-        print(f"Recording {', '.join(topics)} into {bag.path}; Ctrl-C ends it.", flush=True)
+        join_graph([sys.argv[0], *ros_args])
+        recorder = Recorder(bag, topics, wanted)
+        recorder.idle()
+        what = ", ".join(recorder.topics) or "what appears on the graph"
+        print(f"Recording {what} into {bag.path}; Ctrl-C ends it.", flush=True)
         gc.freeze()  # what is loaded by now never goes: without it every collection stalls the loop
-        _spin(recorder, executor, options, stop)
+        _take_all(recorder, options, stop)
         recorder.finish()
         failure = recorder.failure
         try:
@@ -86,40 +98,40 @@ def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) ->
         except OSError as error:
             failure = failure or error
         _show_progress("")
-        return _summary(recorder, list(topics), failure)
+        return _summary(recorder, options.lost_limit, failure)
     except (ValueError, RuntimeError) as error:  # rclpy raises bare RuntimeErrors of its C layer
         return _refuse(" ".join(str(error).split()))
     finally:
-        leave_graph(executor, [] if recorder is None else [recorder])
+        leave_graph(None, [] if recorder is None else [recorder])
 
 
-def _spin(recorder: Recorder, executor: Executor, options: argparse.Namespace, stop: StopFlag) -> None:
+def _take_all(recorder: Recorder, options: argparse.Namespace, stop: StopFlag) -> None:
     period = recorder.bag.flush_period_s
     started = shown = time.monotonic()
-    count_shown = 0
+    count_shown = lost_told = 0
     while not stop.is_set and recorder.failure is None:
-        executor.spin_once(timeout_sec=_SPIN_S)
         # waking up for every message would take time from the loop beside it: they wait for each other
         time.sleep(_GATHER_S)
-        seen = -1
-        while not _enough(recorder, options) and seen < recorder.count + recorder.repeats:
-            seen = recorder.count + recorder.repeats
-            executor.spin_once(timeout_sec=0.0)
+        recorder.take(most=options.messages)
         now = time.monotonic()
         if _enough(recorder, options):
             return
         if options.duration is not None and now - started >= options.duration:
-            return
+            break
         if now - shown >= period:
             recorder.idle()
             rate = (recorder.count - count_shown) / (now - shown)
             _show_progress(f"{recorder.count} messages in {now - started:.0f} s, {rate:.0f} per second now")
             shown, count_shown = now, recorder.count
+            if recorder.lost >= 2 * lost_told and recorder.lost:
+                lost_told = recorder.lost
+                _show_progress("")
+                print(f"record: {lost_told} messages did not arrive so far", file=sys.stderr, flush=True)
     # what was published before the stop belongs into the bag, however long the queue has become
     stopped_ns, heard = time.time_ns(), time.monotonic()
     deadline = heard + _DRAIN_S
     while (now := time.monotonic()) < min(deadline, heard + _ARRIVE_S):
-        if recorder.take_waiting(stopped_ns):
+        if recorder.take(before_ns=stopped_ns, most=options.messages):
             heard = now
         else:
             time.sleep(_POLL_S)
@@ -129,7 +141,7 @@ def _enough(recorder: Recorder, options: argparse.Namespace) -> bool:
     return options.messages is not None and recorder.count >= options.messages
 
 
-def _summary(recorder: Recorder, topics: list[str], failure: OSError | None) -> int:
+def _summary(recorder: Recorder, lost_limit: int, failure: OSError | None) -> int:
     bag = recorder.bag
     counts = ", ".join(f"{topic} {count}" for topic, count in sorted(bag.counts.items())) or "none"
     if failure is not None and not bag.count:
@@ -148,11 +160,21 @@ def _summary(recorder: Recorder, topics: list[str], failure: OSError | None) -> 
         return 1
     if not bag.count:
         print(
-            f"record: no message came on {', '.join(topics)}; is the loop running, with this ROS_DOMAIN_ID?",
+            f"record: no message came on {', '.join(recorder.topics) or 'any topic'}; is the loop running, "
+            "with this ROS_DOMAIN_ID?",
             file=sys.stderr,
         )
     repeats = f"; {recorder.repeats} exact repeats left out" if recorder.repeats else ""
     print(f"Recorded {bag.count} messages ({counts}{repeats}). The bag: {bag.path}", flush=True)
+    for line in recorder.missing():
+        print(f"record: {line}", file=sys.stderr)
+    if recorder.lost > lost_limit:
+        print(
+            f"record: the bag lacks {recorder.lost} messages, more than --lost-limit {lost_limit}: this machine was too "
+            "busy or a publisher's queue too short; record again",
+            file=sys.stderr,
+        )
+        return 1
     return 0
 
 
@@ -180,12 +202,27 @@ def _parser() -> argparse.ArgumentParser:
         help="Topics to record, with their full names. Default: the command, measurement, estimate and reference "
         "of the namespace, /diagnostics and /clock.",
     )
-    parser.add_argument("--namespace", default="/vo2", help="Namespace of the loop. Default: /vo2.")
+    parser.add_argument(
+        "-a", "--all", action="store_true", help="Record every topic that appears on the graph."
+    )
+    parser.add_argument(
+        "-e", "--regex", metavar="PATTERN", help="Record every topic whose name the pattern is found in."
+    )
+    parser.add_argument(
+        "--namespace", help="Namespace of the loop. Default: that of --ros-args -r __ns:=, else /vo2."
+    )
     parser.add_argument(
         "--storage", choices=["mcap", "sqlite3"], default="mcap", help="Storage of the bag. Default: mcap."
     )
     parser.add_argument(
         "--duration", type=float, metavar="S", help="Stop after so many seconds of wall time."
+    )
+    parser.add_argument(
+        "--lost-limit",
+        type=int,
+        default=0,
+        metavar="N",
+        help="Messages that may fail to arrive before the exit status is 1. Default: 0.",
     )
     parser.add_argument("--messages", type=int, metavar="N", help="Stop after so many messages in all.")
     return parser

@@ -1,31 +1,36 @@
-"""A node that puts the messages of some topics into a bag, untouched and in the order of arrival."""
+"""A node that puts the messages of some topics into a bag, untouched and in the order of publication."""
 
 from __future__ import annotations
 
-import struct
+import re
 import time
+from collections import Counter
 from collections.abc import Mapping
 from functools import lru_cache
 from importlib import import_module
+from operator import itemgetter
 from typing import Any
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos, QosDurability, QosReliability
-from vo2_interface.topics import LATCHED_QOS, READ_QOS, SAMPLE_QOS
+from vo2_interface.samples import MalformedSampleError, SampleReader, message_stamp_ns
+from vo2_interface.topics import DEFAULT_NAMESPACE, LATCHED_QOS, READ_QOS, SAMPLE_QOS
 
 from vo2_identification.bags.channels import JOINT_STATE
 from vo2_identification.bags.qos import contract_qos
 from vo2_identification.bags.writing import BagWriter, message_definition
+from vo2_identification.stream_check import StreamCheck
 
 __all__ = ["Recorder", "contract_topics"]
 
-_STAMP = struct.Struct("<iI")
 _CLOCK = "rosgraph_msgs/msg/Clock"
 _DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 _SAMPLES = (JOINT_STATE, _CLOCK)
 _ANOTHER_CLOCK_NS = 86_400_000_000_000
 _MOST_WAITING = 1000
+_PAUSING = ("command", "reference")
+"""Roles that stop and go by design: a gap in their stamps says nothing."""
 
 
 def contract_topics(namespace: str) -> dict[str, str]:
@@ -46,21 +51,40 @@ class Recorder(Node):
     The log time of a sample and of a clock is its own stamp, so that a run in simulated time always makes the
     same bag. Other messages are filed under their stamp if it is on the samples' clock, else under the latest
     sample. Exact repeats of a topic's last sample (a plant in lockstep repeats itself until answered) are left out.
+    A message that begins with no stamp although its type does is left out and counted.
+
+    No executor spins it: `take` is to be called some fifty times a second, since to be woken for every message would
+    take time from the loop beside it, and since only so each message comes with its publisher's number.
 
     Parameters
     ----------
     bag : open bag
-    topics : topic -> message type, "" to take it from the graph when the topic appears there
+    topics : topic -> message type, "" to take it from the graph when the topic appears there; None for the topics of
+        the loop in the node's namespace
+    wanted : pattern of further topics to take as they appear on the graph, None for none
 
     Attributes
     ----------
     count, repeats : messages written, and left out as repeats
+    refused : topic and cause -> messages that were left out since they cannot be read
+    checks : topic -> what is missing of it
     failure : why the bag cannot be written any more, None while it can; further messages are ignored
     """
 
-    def __init__(self, bag: BagWriter, topics: Mapping[str, str]) -> None:
-        super().__init__("recorder")
+    def __init__(
+        self, bag: BagWriter, topics: Mapping[str, str] | None = None, wanted: re.Pattern[str] | None = None
+    ) -> None:
+        super().__init__("recorder", start_parameter_services=False)
+        if topics is None:
+            space = self.get_namespace()
+            topics = contract_topics(DEFAULT_NAMESPACE if space == "/" else space)
         self.bag = bag
+        self._wanted = wanted
+        self._passed_by: dict[str, str] = {}
+        self.refused: Counter[tuple[str, str]] = Counter()
+        self.checks: dict[str, StreamCheck] = {}
+        self._readers: dict[str, SampleReader] = {}
+        self._publisher_counts: dict[str, int] = {}
         self.count = 0
         self.repeats = 0
         self.failure: OSError | None = None
@@ -75,18 +99,50 @@ class Recorder(Node):
                 self._subscribe(topic, latched=topic.endswith("/reference"), reliable=True)
 
     @property
+    def topics(self) -> list[str]:
+        """Topics that are recorded as soon as something comes on them."""
+        return list(self._types)
+
+    @property
+    def lost(self) -> int:
+        """Messages of all topics that were sent and did not arrive."""
+        return sum(check.lost for check in self.checks.values())
+
+    def missing(self) -> list[str]:
+        """Return a line for each topic of which something is missing or unreadable."""
+        told = [(topic, check.words()) for topic, check in self.checks.items() if check.words()]
+        told += self._passed_by.items()
+        told += [(topic, f"{count} left out: {cause}") for (topic, cause), count in self.refused.items()]
+        return [f"{topic}: {words}" for topic, words in told]
+
+    @property
     def open_topics(self) -> list[str]:
         """Topics from which nothing has come yet."""
         return [topic for topic in self._types if topic not in self._numbers]
 
     def idle(self) -> None:
-        """Do what is due twice a second: bring waiting messages to disk, look for topics still silent."""
+        """Do what is due twice a second: bring waiting messages to disk, look for topics still silent or new."""
         try:
             self.bag.flush_if_due()
         except OSError as error:
             self.failure = error
+        if self._wanted is not None:
+            self._look_for_more(self._wanted)
         if self.open_topics:
             self._look_around()
+        self._publisher_counts.clear()
+
+    def _look_for_more(self, wanted: re.Pattern[str]) -> None:
+        for topic, types in self.get_topic_names_and_types():
+            # names that begin with an underscore are hidden, as for `ros2 topic list`
+            if topic in self._types or topic in self._passed_by or "/_" in topic or not wanted.search(topic):
+                continue
+            try:
+                message_definition(types[0])
+                _message_class(types[0])
+                self._types[topic] = types[0]
+            except ValueError as error:
+                self._passed_by[topic] = f"not recorded: {error}"
 
     def _look_around(self) -> None:
         """Take the types of unknown topics from the graph, and weaken a QoS that no publisher there offers."""
@@ -104,21 +160,52 @@ class Recorder(Node):
             reliable = all(one.reliability == ReliabilityPolicy.RELIABLE for one in offered)
             self._subscribe(topic, latched=latched, reliable=reliable)
 
-    def take_waiting(self, before_ns: int) -> bool:
-        """Take at most one waiting message of each topic, no executor spinning.
+    def take(self, *, before_ns: int | None = None, most: int | None = None) -> bool:
+        """Write everything that waits, in the order in which it was published.
 
-        Returns whether one of them was published before `before_ns` (system time [ns]): a topic that only has
-        younger ones to offer has nothing more that was due by then.
+        Parameters
+        ----------
+        before_ns : system time [ns]
+        most : stop once so many messages are written, None for no end
+
+        Returns
+        -------
+        bool : whether any of them was published before `before_ns`; where it was not, nothing due by then is missing.
         """
-        due = False
-        for subscription in self._subscriptions_by_topic.values():
+        waiting: list[tuple[int, str, bytes, int | None]] = []
+        for topic, subscription in self._subscriptions_by_topic.items():
             with subscription.handle:
-                taken = subscription.handle.take_message(subscription.msg_type, True)
-            if taken is not None:
-                data, about = taken
-                subscription.callback(data)
-                due = due or about["source_timestamp"] <= before_ns
-        return due
+                for _ in range(READ_QOS.depth):
+                    taken = subscription.handle.take_message(subscription.msg_type, True)
+                    if taken is None:
+                        break
+                    data, about = taken
+                    waiting.append(
+                        (about["source_timestamp"], topic, data, about["publication_sequence_number"])
+                    )
+        waiting.sort(key=itemgetter(0))
+        for _, topic, data, number in waiting:
+            if most is not None and self.count >= most:
+                break
+            check = self.checks.setdefault(topic, StreamCheck())
+            if number is not None:
+                check.hear_number(number, self._publisher_count(topic))
+            try:
+                self._receive(topic, data)
+            except MalformedSampleError as error:
+                self.refused[topic, str(error)] += 1
+        return before_ns is not None and any(published <= before_ns for published, *_ in waiting)
+
+    def _publisher_count(self, topic: str) -> int:
+        if topic not in self._publisher_counts:
+            self._publisher_counts[topic] = self.count_publishers(topic)
+        return self._publisher_counts[topic]
+
+    def _receive(self, topic: str, data: bytes) -> None:
+        if self._types[topic] in _SAMPLES:
+            self._sample(topic, data)
+        else:
+            self._other(topic, data)
 
     def finish(self) -> None:
         """Write what still waits for a first sample to tell the time."""
@@ -142,26 +229,25 @@ class Recorder(Node):
                 return
             self.destroy_subscription(before)
         message_definition(self._types[topic])  # refused now, not at the first message
-        package, _, name = self._types[topic].partition("/msg/")
         try:
-            kind = getattr(import_module(f"{package}.msg"), name)
-        except (ImportError, AttributeError):
-            raise ValueError(
-                f"topic {topic}: its type {self._types[topic]} is not installed here; leave it out of --topics"
-            ) from None
-        receive = self._sample if self._types[topic] in _SAMPLES else self._other
-
-        def callback(data: bytes, topic: str = topic) -> None:
-            receive(topic, data)
-
-        self._subscriptions_by_topic[topic] = self.create_subscription(kind, topic, callback, qos, raw=True)
+            kind = _message_class(self._types[topic])
+        except ValueError as error:
+            raise ValueError(f"topic {topic}: {error}; leave it out of --topics") from None
+        # `take` asks for the messages: nobody calls this
+        self._subscriptions_by_topic[topic] = self.create_subscription(kind, topic, _ignore, qos, raw=True)
 
     def _sample(self, topic: str, data: bytes) -> None:
         if self._last.get(topic) == data:
             self.repeats += 1
             return
+        if self._types[topic] == JOINT_STATE:
+            # the whole layout is looked at: what other tools cannot read does not belong into a bag
+            stamp_ns, _ = self._readers.setdefault(topic, SampleReader(())).read(data)
+        else:
+            stamp_ns = message_stamp_ns(data)
         self._last[topic] = data
-        stamp_ns = _stamp_ns(data)
+        if self._types[topic] == JOINT_STATE and topic.rsplit("/", 1)[-1] not in _PAUSING:
+            self.checks[topic].hear_stamp(stamp_ns)
         first = self._latest_ns is None
         self._latest_ns = stamp_ns
         self._write(topic, stamp_ns, data)
@@ -169,6 +255,8 @@ class Recorder(Node):
             self._release()
 
     def _other(self, topic: str, data: bytes) -> None:
+        if _begins_with_stamp(self._types[topic]):
+            message_stamp_ns(data)  # refused now, not when it is written
         self._waiting.append((topic, data))
         if self._latest_ns is not None or len(self._waiting) >= _MOST_WAITING:
             self.finish()
@@ -178,7 +266,7 @@ class Recorder(Node):
         for topic, data in waiting:
             log_time = latest = self._latest_ns or 0
             if _begins_with_stamp(self._types[topic]):
-                stamp_ns = _stamp_ns(data)
+                stamp_ns = message_stamp_ns(data)
                 if abs(stamp_ns - latest) < _ANOTHER_CLOCK_NS:
                     log_time = stamp_ns
             self._write(topic, log_time, data)
@@ -210,15 +298,20 @@ class Recorder(Node):
         )
 
 
-def _stamp_ns(data: bytes) -> int:
-    """Return the stamp that a serialized message begins with (behind the four bytes of encapsulation)."""
-    order = "<" if data[1] & 1 else ">"
-    seconds, nanoseconds = _STAMP.unpack_from(data, 4) if order == "<" else struct.unpack_from(">iI", data, 4)
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+def _message_class(msgtype: str) -> Any:
+    """Return the class of a message type; raise `ValueError` where it is not installed."""
+    package, _, name = msgtype.partition("/msg/")
+    try:
+        return getattr(import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError):
+        raise ValueError(f"its type {msgtype} is not installed here") from None
+
+
+def _ignore(_data: bytes) -> None:
+    """Stand for a callback where messages are asked for."""
 
 
 @lru_cache(maxsize=64)
 def _begins_with_stamp(msgtype: str) -> bool:
-    package, _, name = msgtype.partition("/msg/")
-    fields = getattr(import_module(f"{package}.msg"), name).get_fields_and_field_types()
+    fields = _message_class(msgtype).get_fields_and_field_types()
     return next(iter(fields.values()), "") in {"std_msgs/Header", "builtin_interfaces/Time"}

@@ -11,6 +11,6 @@ from rclpy.node import Node
 __all__ = ["create_steady_timer"]
 
 
-def create_steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> None:
+def create_steady_timer(node: Node, period_s: float, callback: Callable[[], object]) -> None:
     """Call `callback` every `period_s` seconds of a clock that neither jumps nor stands, also with `use_sim_time`."""
     node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -22,6 +23,7 @@ from std_srvs.srv import Trigger
 from vo2_interface.executable import StopFlag, fastest_executor, join_graph, leave_graph
 from vo2_interface.parameters import ros_parameters
 from vo2_interface.samples import SampleReader
+from vo2_interface.timers import create_steady_timer
 from vo2_interface.topics import COMMAND, MEASUREMENT, READ_QOS
 from vo2_models.device import preset
 from vo2_models.parameters import Value
@@ -34,6 +36,7 @@ __all__ = ["play", "playable_levels"]
 
 _NAME = "next_experiment"
 _SPIN_S = 0.05
+_TAKE_S = 0.02
 _NAMELESS = "_NODE_NAME_UNKNOWN_"
 """What the ROS graph says of a node whose name has not arrived yet."""
 _LISTEN_S = 0.5
@@ -135,16 +138,19 @@ def play(
         with BagWriter(bag) as writer:
             recorder = Recorder(writer, contract_topics(namespace))
             nodes.append(recorder)
-            executor.add_node(recorder)
+            create_steady_timer(node, _TAKE_S, recorder.take)
             try:
                 _play(node, recorder, executor, stop, progress)
             finally:
                 node.stop()
                 node.rest()
                 _spin(executor, _LISTEN_S)
+                recorder.take()
                 recorder.finish()
         if recorder.failure is not None:
             raise recorder.failure
+        for line in recorder.missing():
+            print(f"diagnose: --next: {line}", file=sys.stderr)
         return not stop.is_set
     finally:
         leave_graph(executor, nodes)
