@@ -165,7 +165,10 @@ def test_names_of_constants():
     assert names_constant("ambient", {"constant": "thermal.ambient"})
     assert names_constant("time_constant", {"constant": "thermal.time_constant"})
     assert names_constant("heat_gain", {"constant": "thermal.square_gain"})
-    assert names_constant("deflection_zero", {"constant": "tip_deflection offset"})
+    assert names_constant("deflection_zero", {"constant": "deflection.zero"})
+    assert names_constant("film_scale", {"constant": "resistance.gain"})
+    assert names_constant("deflection_scale", {"constant": "deflection.gain"})
+    assert not names_constant("film_scale", {"constant": "deflection.gain"})
     assert not names_constant("ambient", {"constant": "thermal.time_constant"})
     assert not names_constant("deflection_zero", {"constant": "film_resistance.offset"})
 

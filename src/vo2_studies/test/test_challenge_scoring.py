@@ -113,6 +113,8 @@ def test_reliability_bins_hold_stated_and_true_shares():
     assert (low["count"], low["stated"], low["observed"]) == (1, pytest.approx(0.4), 1.0)
     assert (high["from"], high["count"], high["observed"]) == (0.95, 10, pytest.approx(0.9))
     assert high["interval"][0] < 0.9 < high["interval"][1]
+    assert not high["met"], "0.97 stated, 0.9 true"
+    assert not low["met"]
     assert reliability([case("none")]) == []
     # the ends belong to the outer bins
     assert [b["from"] for b in reliability([one("creep", True, stated=((0.0, True), (1.0, True)))])] == [

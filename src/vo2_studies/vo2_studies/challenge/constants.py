@@ -1,4 +1,8 @@
-"""The same physics with other constants: what another day does to a rig, and one constant that has moved for good."""
+"""The same physics with other constants: what another day does to a rig, and one constant that has moved for good.
+
+A shift of the film's transition is none of them: it is the room's where no thermometer tells, and elsewhere the steady
+heat of a laser, which is an effect of the catalogue. Nor is the dead time.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +30,6 @@ class Constant:
     size : smallest and largest visible move, in the unit
     move : (device, by) -> device with the constant moved
     called : pattern of the names under which a diagnosis may report it
-    needs_temperature : moves apart from the others only where the body's temperature is measured
     """
 
     name: str
@@ -34,7 +37,6 @@ class Constant:
     size: tuple[float, float]
     move: Callable[[Device, float], Device]
     called: str
-    needs_temperature: bool = False
 
 
 def _scaled(field: str) -> Callable[[Device, float], Device]:
@@ -91,14 +93,6 @@ CONSTANTS = (
         (0.006, 0.04),
         _zero,
         rf"(deflection|tip|lever|{TIP_DEFLECTION}).*(zero|offset|rest|level|bias)",
-    ),
-    Constant(
-        "transition_temperature",
-        "K",
-        (0.6, 3.0),
-        lambda d, by: replace(d, film_shift=d.film_shift - by),
-        r"transition|threshold|middle|switch",
-        needs_temperature=True,
     ),
 )
 

@@ -131,7 +131,6 @@ class Device:
     strain : deflection by the complete structural transition [m]
     expansion_cold, expansion_hot : differential expansion k0, k1 of (5.7), as deflection per kelvin [m/K]
     rest : deflection at ambient temperature [m]
-    film_shift : the film's transition is this much below what its thresholds say [K]
     """
 
     preset: Preset
@@ -150,7 +149,6 @@ class Device:
     expansion_cold: float
     expansion_hot: float
     rest: float
-    film_shift: float = 0.0
 
 
 def log_resistance(device: Device, fraction: Array, temperature: Array) -> Array:

@@ -132,9 +132,16 @@ def challenge_page(scores: Mapping[str, Any], judgements: Sequence[Judgement], c
         for name, entry in scores["per_effect"].items()
     ]
     bins = [
-        [f"{b['from']:g} to {b['to']:g}", str(b["count"]), _percent(b["stated"]), _percent(b["observed"]), _spread(b["interval"])]
+        [
+            f"{b['from']:g} to {b['to']:g}",
+            str(b["count"]),
+            _percent(b["stated"]),
+            _percent(b["observed"]),
+            _spread(b["interval"]),
+            "met" if b["met"] else "missed",
+        ]
         for b in scores["reliability"]
-    ]  # fmt: skip
+    ]
     missed = [
         [str(m["index"]), m["kind"], " + ".join(m["truth"]) or "-", m["said"]]
         + [str(m.get(key, "")) for key in ("hysteresis", "condition", "excitation", "device")]
@@ -160,7 +167,11 @@ def challenge_page(scores: Mapping[str, Any], judgements: Sequence[Judgement], c
             section(
                 "Probabilities",
                 _reliability_figure(scores["reliability"]),
-                table("Reliability", ("stated", "entries", "mean stated", "true", "95 % interval"), bins),
+                table(
+                    "Reliability",
+                    ("stated", "entries", "mean stated", "true", "95 % interval", "within 5 points"),
+                    bins,
+                ),
             ),
             section("Under each condition", table("Lines by condition", HEAD, split)),
             section("Confusion", confusion_figure(judgements)),

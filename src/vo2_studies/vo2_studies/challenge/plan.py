@@ -137,7 +137,7 @@ def plan_case(seed: int, index: int, choice: Choice = PRESETS_ONLY) -> CasePlan:
         return chosen if chosen != VARIED else cards[_turn(seed, stream, len(cards), index)]
 
     families = chosen_families(choice.family, choice.leave_out)
-    constants = [c.name for c in CONSTANTS if PRESETS[device].has_temperature or not c.needs_temperature]
+    constants = [constant.name for constant in CONSTANTS]
     samples = None
     if choice.samples is not None:
         low, high = np.log(choice.samples)

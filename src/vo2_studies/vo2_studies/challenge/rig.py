@@ -108,7 +108,7 @@ def simulate(device: Device, command: Array, plan: Plan, jitter: Array | None = 
     power = device.gain * (heating**2 if preset.squared else heating)
     ambient = ambient + sum((f(power, step) for f in plan.heat), np.zeros(driven.size))
     local = sum((f(start) for f in plan.local), np.zeros(driven.size))
-    pull = sum((f(start, driven) for f in plan.pull), np.full(driven.size, device.film_shift))
+    pull = sum((f(start, driven) for f in plan.pull), np.zeros(driven.size))
     if plan.widening:
         device = replace(
             device, film=device.film._replace(structure=widen(device.film.structure, plan.widening))
