@@ -78,8 +78,8 @@ def _estimate(kind, first, second, scales, table, memory, resistance, truth):
 
 @kernel
 def _run(
-    kind, c, mode, packed_r, packed_d, poly_r, poly_d, levels, domains,
-    x, play_r, play_d, metallic, line, sensors, sensor_lines,
+    kind, c, packed_r, packed_d, poly_r, poly_d, levels, domains,
+    x, play_r, play_d, metallic, line,
     sensing, first, second, scales, table, memory,
     a, b, cc, d, conditioning, squared, lower, upper, most, state,
     reference, ahead, disturbance, normals, command, sample, out,
@@ -91,8 +91,8 @@ def _run(
     for k in range(reference.size):
         command[0] = current + disturbance[k]
         chain.run_chain(
-            kind, c, mode, packed_r, packed_d, poly_r, poly_d, levels, domains, x, play_r, play_d, metallic,
-            line, sensors, sensor_lines, command, normals[k : k + 1], sample,
+            kind, c, packed_r, packed_d, poly_r, poly_d, levels, domains, x, play_r, play_d, metallic,
+            line, command, normals[k : k + 1], sample,
         )  # fmt: skip
         estimate = _estimate(sensing, first, second, scales, table, memory, sample[0, 1], sample[0, 4])
         out[k, 0] = estimate
@@ -146,14 +146,13 @@ def run_loop(
     if feedforward_a is not None:
         ahead += finite_array(feedforward_a, "feedforward_a", size=reference.size)
     normals = white_noise(seed, reference.size) if noise else np.zeros((reference.size, 4))
-    c, mode = device.prepared(period)
+    c = device.prepared(period)
     memory = device.initial_state()
     law, limits = controller.law, controller.limits
     out = np.empty((reference.size, 4))
     _run(
-        device.kind, c, mode, device.packed_r, device.packed_d, device.poly_r, device.poly_d, device.levels,
+        device.kind, c, device.packed_r, device.packed_d, device.poly_r, device.poly_d, device.levels,
         device.domains, memory.scalars, memory.play_r, memory.play_d, memory.metallic, memory.line,
-        memory.sensors, memory.sensor_lines,
         *_packed(sensing),
         law.a, law.b, law.c, law.d, law.conditioning, law.coordinate == "heating_power",
         limits.lower_a, limits.upper_a, limits.rate_a_per_s * period, controller.state,

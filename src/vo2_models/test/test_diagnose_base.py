@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from vo2_models.device import DeviceModel
-from vo2_models.device.coefficients import HUGE, Sensor, sensor_index
+from vo2_models.device.coefficients import HUGE, blocks
 from vo2_models.diagnosis.breakdown import breakdown, locate
 from vo2_models.diagnosis.current_reading import as_commanded, between_samples, current_reading
 from vo2_models.diagnosis.explain import Explanation, fit_jointly, score, switched
@@ -138,7 +138,7 @@ def test_what_acts_behind_the_film_may_share_its_simulation(name) -> None:
     shared = nominal.respond(current, dt, effects=changes, fine=False)
     chain = model.simulation.with_effects(changes)
     for channel in (RESISTANCE, TIP_DEFLECTION):  # a coarse converter is told by its mean
-        chain.coefficients[sensor_index(channel, Sensor.STEP)] = 0.0
+        chain.coefficients[blocks()[f"adc_quantization:{channel}"].active] = 0.0
     alone = propagate_correction(chain, corrected_film(chain, chain.run(current, dt=dt), dt, fold), dt)
     if effect.id != "adc_quantization":
         assert np.array_equal(shared.channels[RESISTANCE], np.log10(alone[:, 1]))

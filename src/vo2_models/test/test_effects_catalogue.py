@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from vo2_models.device import preset, truth
-from vo2_models.device.coefficients import neutral
-from vo2_models.effects import apply_effects, effect, effect_ids, effects
+from vo2_models.device.coefficients import apply_effects, neutral
+from vo2_models.effects import effect, effect_ids, effects
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
 CONTRACT = [

@@ -47,7 +47,7 @@ def test_noise_and_time_constant(fitted):
     for channel, level in preset(name).noise.items():
         assert result.model.sensors[channel].noise == pytest.approx(level, rel=0.12)
         assert result.model.sensors[channel].colour == ()
-    tau = device.prepared(preset(name).sample_period)[0]
+    tau = device.prepared(preset(name).sample_period)
     from vo2_models.device.coefficients import Coefficient
 
     true = tau[Coefficient.TIME_CONSTANT]

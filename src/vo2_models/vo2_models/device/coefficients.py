@@ -1,13 +1,17 @@
-"""The coefficient vector of the chain: every number the compiled loop reads, by name.
+"""The coefficient vector of the chain: every number that the compiled loop reads, by name.
 
-A device, or an effect, is a set of values in this vector. `neutral()` switches every effect off: with a
-neutral value a term contributes exactly nothing (it is multiplied by zero, added as zero, or its branch is
-not taken).
+First the constants of the device, then the noise of each channel's sensor, then a block for each effect (for each
+channel that it can sit on): whether it is on, its parameters, and the numbers of its `prepare`. The blocks are
+numbered here from the effect files; nothing else lists them. `neutral()` switches every effect off: what is off is
+passed over and contributes exactly nothing.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import IntEnum, auto
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,85 +19,49 @@ from numpy.typing import NDArray
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
 __all__ = [
-    "BEHIND_FILM",
     "CHANNELS",
-    "FEEDBACK",
     "HUGE",
-    "PER_CHANNEL",
+    "Block",
     "Coefficient",
     "Sensor",
+    "apply_effects",
+    "blocks",
+    "first_flag",
     "neutral",
     "sensor_index",
+    "size",
 ]
 
+Floats = NDArray[np.float64]
 HUGE = 1e12
 """Stands for "no limit" in a coefficient (a model file holds finite numbers only)."""
 
 
 class Coefficient(IntEnum):
-    """Index of a coefficient of the chain before the sensors; units in the comments."""
+    """Index of a constant of the device, or of what the compiled loop is told beside; units in the comments."""
 
     def _generate_next_value_(name, start, count, last_values):  # type: ignore[override]
         return count
 
     SAMPLE_PERIOD = auto()  # s
     SUBSTEPS = auto()  # 1: thermal steps per sample
-    FEEDBACK = auto()  # 1 where the phase acts back on the heat or on itself, else 0
+    FEEDBACK = (
+        auto()
+    )  # 1 where the exact one-step solution of the linear thermal model does not suffice, else 0
+    FOLLOWS = (
+        auto()
+    )  # 1 where the last input of the transitions and the turns on the way are all that decides
+    CLOCK = auto()  # 1: how fast the effects' own time goes; 0 while the device is brought to rest
     # driver
     RANGE_LOW = auto()  # A: the source's own range
     RANGE_HIGH = auto()  # A
-    SATURATION = auto()  # A: |i| at most
-    SLEW = auto()  # A/s
-    DEADZONE = auto()  # A
     DEAD_TIME = auto()  # s
     # heat
     AMBIENT = auto()  # degC
     LINEAR_GAIN = auto()  # K/A
     SQUARE_GAIN = auto()  # K/A^2
-    PUMPING = auto()  # 1/A: Peltier term current * (T - T0)
-    HEATER_TCR = auto()  # 1/K
     TIME_CONSTANT = auto()  # s
-    COOLING_RATIO = auto()  # 1: time constant of cooling = (1 + ratio) of heating
-    SLOW_SHARE = auto()  # 1: part of the gain that arrives through the slow mode
-    SLOW_TIME = auto()  # s
-    SLOW_GAIN = auto()  # 1: change of the steady gain that comes with the slow mode
-    LOSS = auto()  # K^(1 - exponent)
-    LOSS_EXPONENT = auto()  # 1
-    PHASE_LOSS = auto()  # 1
-    LATENT = auto()  # K
-    METALLIC_LEADS = auto()  # 1: whether the metallic transition stands for the phase in heat
-    DRIFT_RATE = auto()  # K/s
-    DRIFT_CURVATURE = auto()  # K/s^2
-    LASER = auto()  # K: of the whole film, through the thermal dynamics
-    LASER_FILM = auto()  # K: of the film above its stage, at once
-    LASER_FROM = auto()  # s
-    LASER_UNTIL = auto()  # s
-    SENSE = auto()  # K/ohm: self-heating through the thermal dynamics
-    SENSE_FILM = auto()  # K/ohm: of the film above its stage
-    # transitions
-    TRANSITION_OFFSET = auto()  # K: the structural transition sees T + offset
-    INCONGRUENCY = auto()  # K
-    TRAINING = auto()  # K per reversal
-    TRAINING_EXCURSION = auto()  # K: smaller turns do not count
-    KINETICS = auto()  # s
-    RELAXATION = auto()  # 1
-    RELAXATION_TIME = auto()  # s
-    RELAXATION_TRAVEL = auto()  # K
-    REVERSIBLE = auto()  # 1/K
-    REVERSIBLE_BAND = auto()  # K
-    REVERSIBLE_SHARE = auto()  # 1
-    # resistance
-    SERIES = auto()  # ohm
-    LEAKAGE = auto()  # S
-    CROSSTALK = auto()  # ohm/A
-    # deflection
-    HOT_EXPANSION = auto()  # m/K
-    CREEP = auto()  # 1
-    CREEP_TIME = auto()  # s
-    CREEP_GAIN = auto()  # 1: change of the resting deflection that comes with creep
-    MODE_SHARE = auto()  # 1
-    MODE_FREQUENCY = auto()  # Hz
-    MODE_DAMPING = auto()  # 1
+    ON_STAGE = auto()  # 1 where the film sits on a heated stage that has a temperature of its own
     # laws of the two members of the hysteresis interface
     INSULATOR = auto()  # ohm at REFERENCE_LOW
     REFERENCE_LOW = auto()  # degC
@@ -120,41 +88,25 @@ class Sensor(IntEnum):
     def _generate_next_value_(name, start, count, last_values):  # type: ignore[override]
         return count
 
-    LAG = auto()  # s
-    CLOCK = auto()  # s: the value is this much older than its stamp
-    DRIFT = auto()  # 1/s
     NOISE = auto()  # 1 s.d., channel unit
     NOISE_RELATIVE = auto()  # 1 s.d., share of the value
     COLOUR = auto()  # 1: AR(1) coefficient of the noise
-    STEP = auto()  # channel unit: quantisation
-    LOW = auto()  # channel unit
-    HIGH = auto()  # channel unit
-    IDEAL = auto()  # 1 where all of the above are neutral, so that the sensor can be passed over
+    IDEAL = (
+        auto()
+    )  # 1 where there is no noise and no effect on the channel, so that the sensor can be passed over
 
 
 CHANNELS = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
 """Channels that have a sensor block, in its order."""
-PER_CHANNEL = len(Sensor)
-
+FLAGS = 32
+"""Room for the flags of `device.assembly`."""
 _NEUTRAL = {
     Coefficient.SAMPLE_PERIOD: 1e-3,
     Coefficient.SUBSTEPS: 1.0,
+    Coefficient.CLOCK: 1.0,
     Coefficient.RANGE_LOW: -HUGE,
     Coefficient.RANGE_HIGH: HUGE,
-    Coefficient.SATURATION: HUGE,
-    Coefficient.SLEW: HUGE,
     Coefficient.TIME_CONSTANT: 1.0,
-    Coefficient.SLOW_TIME: 1.0,
-    Coefficient.LASER_FROM: -HUGE,
-    Coefficient.LASER_UNTIL: HUGE,
-    Coefficient.LOSS_EXPONENT: 2.0,
-    Coefficient.TRAINING_EXCURSION: 2.0,
-    Coefficient.RELAXATION_TIME: 1.0,
-    Coefficient.RELAXATION_TRAVEL: 0.5,
-    Coefficient.REVERSIBLE_BAND: 1.0,
-    Coefficient.CREEP_TIME: 1.0,
-    Coefficient.MODE_FREQUENCY: 1.0,
-    Coefficient.MODE_DAMPING: 0.02,
     Coefficient.THRESHOLD: 0.5,
     Coefficient.LENGTH: 1.0,
     Coefficient.INSULATOR: 1.0,
@@ -164,41 +116,104 @@ _NEUTRAL = {
 }
 
 
-FEEDBACK = (
-    Coefficient.PUMPING,
-    Coefficient.HEATER_TCR,
-    Coefficient.LOSS,
-    Coefficient.PHASE_LOSS,
-    Coefficient.LATENT,
-    Coefficient.SENSE,
-    Coefficient.SENSE_FILM,
-    Coefficient.INCONGRUENCY,
-    Coefficient.KINETICS,
-    Coefficient.RELAXATION,
-    Coefficient.REVERSIBLE,
-    Coefficient.REVERSIBLE_SHARE,
-    Coefficient.SLOW_SHARE,
-)
-"""Coefficients that, when not zero, make the exact one-step solution of the linear thermal model insufficient."""
+@dataclass(frozen=True)
+class Block:
+    """Where an effect stands in the coefficient vector and in the scalar memory.
 
+    Attributes
+    ----------
+    effect, signal : id, and the channel it sits on (empty for an effect on no single channel)
+    active : place of the number that says whether it is on
+    places : name of a parameter or of a number of `prepare` -> place
+    states : name of a state -> first place in the scalar memory, counted from the end of the chain's own
+    """
 
-BEHIND_FILM = tuple(Coefficient)[Coefficient.SERIES : Coefficient.MODE_DAMPING + 1]
-"""Coefficients of terminals and structure: the film, its temperature and its phase do not feel them."""
+    effect: str
+    signal: str
+    active: int
+    places: Mapping[str, int]
+    states: Mapping[str, int]
 
 
 def sensor_index(channel: str, coefficient: Sensor) -> int:
     """Return the place of a sensor coefficient; raise a `ValueError` for a channel without sensor."""
     if channel not in CHANNELS:
         raise ValueError(f"signal: found {channel!r}, need one of {', '.join(CHANNELS)}")
-    return len(Coefficient) + CHANNELS.index(channel) * PER_CHANNEL + int(coefficient)
+    return len(Coefficient) + CHANNELS.index(channel) * len(Sensor) + int(coefficient)
 
 
-def neutral() -> NDArray[np.float64]:
-    """Return a coefficient vector in which every effect is off and no noise is added."""
-    vector = np.zeros(len(Coefficient) + len(CHANNELS) * PER_CHANNEL)
+def first_flag() -> int:
+    """Return the place of the first flag of `device.assembly`."""
+    return len(Coefficient) + len(CHANNELS) * len(Sensor)
+
+
+@cache
+def blocks() -> Mapping[str, Block]:
+    """Return the blocks of all effects by `id`, or by `id:channel` for each channel that an effect can sit on."""
+    from vo2_models.effects import effects
+
+    found: dict[str, Block] = {}
+    place = first_flag() + FLAGS
+    state = 0
+    for record in effects().values():
+        for signal in record.channels if record.signal else ("",):
+            names = [*(p.name for p in record.parameters), *record.derived]
+            places = {name: place + 1 + k for k, name in enumerate(names)}
+            states = {}
+            for each in record.states:
+                states[each.name] = state
+                state += each.size
+            key = f"{record.id}:{signal}" if signal else record.id
+            found[key] = Block(record.id, signal, place, places, states)
+            place += 1 + len(names)
+    return found
+
+
+@cache
+def size() -> int:
+    """Return the length of the coefficient vector."""
+    last = max(blocks().values(), key=lambda block: block.active)
+    return max(last.active, *last.places.values()) + 1
+
+
+@cache
+def _neutral() -> Floats:
+    from vo2_models.effects import effects
+
+    vector = np.zeros(size())
     for index, value in _NEUTRAL.items():
         vector[index] = value
-    for channel in CHANNELS:
-        vector[sensor_index(channel, Sensor.LOW)] = -HUGE
-        vector[sensor_index(channel, Sensor.HIGH)] = HUGE
+    for block in blocks().values():
+        for name, value in effects()[block.effect].neutral().items():
+            vector[block.places[name]] = value
     return vector
+
+
+def neutral() -> Floats:
+    """Return a coefficient vector in which every effect is off and no noise is added."""
+    return _neutral().copy()
+
+
+def apply_effects(c: Floats, values: Mapping[str, Mapping[str, float | str]], *, device: str) -> None:
+    """Write effects `{id: {parameter: value, "signal": channel}}` into the coefficient vector `c`.
+
+    An id may be followed by ":" and a word, so that one effect can sit on several signals.
+
+    Raises
+    ------
+    ValueError : unknown effect or parameter, value out of range, effect that cannot occur on the device.
+    """
+    from vo2_models.effects import effect
+
+    for key, given in values.items():
+        record = effect(key.split(":")[0])
+        if device not in record.presets:
+            raise ValueError(
+                f"{record.id}: cannot occur on device {device!r}, only on {', '.join(record.presets)}"
+            )
+        complete, signal = record.complete(given)
+        block = blocks()[f"{record.id}:{signal}" if signal else record.id]
+        neutral_values = record.neutral()
+        for name, value in complete.items():
+            c[block.places[name]] = value
+        c[block.active] = float(any(value != neutral_values[name] for name, value in complete.items()))

@@ -13,12 +13,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.device import chain
-from vo2_models.device.coefficients import CHANNELS, FEEDBACK, Coefficient, Sensor, neutral, sensor_index
+from vo2_models.device.assembly import plan, state_size
+from vo2_models.device.coefficients import (
+    CHANNELS,
+    Coefficient,
+    Sensor,
+    apply_effects,
+    blocks,
+    first_flag,
+    neutral,
+    sensor_index,
+)
 from vo2_models.device.core import ENSEMBLE, PLAYS
 from vo2_models.device.description import DeviceDescription, preset
-from vo2_models.device.mode import mode_step
-from vo2_models.device.state import CURRENT_LINE, SENSOR_LINE, ChainState, Slot
-from vo2_models.effects import apply_effects
+from vo2_models.device.state import CURRENT_LINE, ChainState, Slot
+from vo2_models.effects import effects
 from vo2_models.recording import COMMANDED_CURRENT, Recording
 from vo2_models.validation import finite_array, positive_number
 
@@ -42,11 +51,12 @@ _NO_LEVELS = np.zeros((2, 2, 0))
 _NO_DOMAINS = np.zeros((2, 2, 0), dtype=np.int64)
 _NO_PLAYS = np.zeros(7)
 _NO_POLYNOMIAL = np.zeros(1)
-_NEUTRAL = neutral()
-_SENSOR_PLACES = tuple(
-    (sensor_index(each, Sensor.LAG), sensor_index(each, Sensor.IDEAL)) for each in CHANNELS
-)
-_FEEDBACK = list(FEEDBACK)
+REST_BLOCK = 16
+"""Samples with which a device is brought to rest before the sample period is doubled."""
+RING = 256
+"""Samples that fill the rings of the sensors anew."""
+RESTED = 15.0
+"""Time constants of the slowest process after which a device is at rest."""
 
 Floats = NDArray[np.float64]
 
@@ -60,6 +70,7 @@ def nominal_coefficients(device: DeviceDescription) -> Floats:
     c[Coefficient.SQUARE_GAIN] = device.square_gain
     c[Coefficient.TIME_CONSTANT] = device.time_constant
     c[Coefficient.DEAD_TIME] = device.dead_time
+    c[Coefficient.ON_STAGE] = float(device.measures_temperature)
     return c
 
 
@@ -107,8 +118,28 @@ class Simulation:
         apply_effects(c, effects, device=self.device)
         return Simulation(**{**self.__dict__, "coefficients": c})
 
-    def prepared(self, dt: float) -> tuple[Floats, Floats]:
-        """Return the coefficients for the sample period `dt` [s] and the (2, 4) exact step of the structural mode.
+    @property
+    def has_resistance(self) -> bool:
+        """Whether there is a law of the metallic transition."""
+        return self.kind == ENSEMBLE or self.packed_r[0] > 0.0
+
+    @property
+    def has_deflection(self) -> bool:
+        """Whether there is a law of the structural transition."""
+        return self.kind == ENSEMBLE or self.packed_d[0] > 0.0
+
+    def active(self) -> list[str]:
+        """Return the keys, `id` or `id:channel`, of the effects that are on."""
+        all_of_them = plan()
+        return [all_of_them.keys[k] for k in np.flatnonzero(self.coefficients[all_of_them.active] != 0.0)]
+
+    def prepared(self, dt: float, *, straight: bool = False) -> Floats:
+        """Return the coefficients for the sample period `dt` [s], with all that follows from them.
+
+        Parameters
+        ----------
+        dt : [s]
+        straight : what a structure is given goes straight from sample to sample, and not the way of the heat
 
         Raises
         ------
@@ -117,51 +148,85 @@ class Simulation:
         c = self.coefficients.copy()
         period = positive_number(dt, "dt")
         c[Coefficient.SAMPLE_PERIOD] = period
-        feedback = self.force_feedback or bool(np.any(c[_FEEDBACK] != 0.0))
+        of = plan()
+        on = c[of.active] != 0.0
+        feedback = self.force_feedback or bool(np.any(on & of.feedback))
         c[Coefficient.FEEDBACK] = float(feedback)
-        fastest = c[Coefficient.TIME_CONSTANT]
-        steps = math.ceil(self.steps_per_constant * period / fastest) if feedback else 1
+        c[Coefficient.FOLLOWS] = float(self.kind == PLAYS and not np.any(on & of.every_step))
+        c[first_flag() : first_flag() + of.flags.shape[0]] = of.flags @ on
+        constant = c[Coefficient.TIME_CONSTANT]
+        sensed = set()
+        for k in np.flatnonzero(on):
+            block = blocks()[of.keys[k]]
+            record = effects()[block.effect]
+            sensed.add(block.signal)
+            values = {p.name: float(c[block.places[p.name]]) for p in record.parameters}
+            if record.derived:
+                numbers = record.hooks["prepare"](values, period, math.inf if straight else constant)
+                for name, number in zip(record.derived, numbers, strict=True):
+                    c[block.places[name]] = number
+            if "delay" in record.hooks:
+                c[Coefficient.DEAD_TIME] += record.hooks["delay"](**values)
+        steps = math.ceil(self.steps_per_constant * period / constant) if feedback else 1
         c[Coefficient.SUBSTEPS] = float(max(steps, 1))
         if c[Coefficient.DEAD_TIME] > (CURRENT_LINE - 2) * period:
             raise ValueError(
                 f"dead time: found {c[Coefficient.DEAD_TIME]:g} s, need at most {CURRENT_LINE - 2} sample periods"
             )
-        for first, ideal in _SENSOR_PLACES:
-            c[ideal] = float(np.array_equal(c[first:ideal], _NEUTRAL[first:ideal]))
-        if c[Coefficient.MODE_SHARE] == 0.0:
-            return c, np.zeros((2, 4))
-        return c, mode_step(
-            c[Coefficient.MODE_FREQUENCY],
-            c[Coefficient.MODE_DAMPING],
-            period,
-            time_constant=c[Coefficient.TIME_CONSTANT],
-        )
+        for channel in CHANNELS:
+            noisy = any(c[sensor_index(channel, kind)] for kind in (Sensor.NOISE, Sensor.NOISE_RELATIVE))
+            c[sensor_index(channel, Sensor.IDEAL)] = float(not noisy and channel not in sensed)
+        return c
 
     def initial_state(self) -> ChainState:
         """Return the memory of a device that has rested without current, insulating, for long."""
-        x = np.zeros(len(Slot))
         banks = [_virgin(packed) for packed in (self.packed_r, self.packed_d)]
         return ChainState(
-            scalars=x,
+            scalars=np.zeros(state_size()),
             play_r=banks[0],
             play_d=banks[1],
             metallic=np.zeros((2, self.levels.shape[2]), dtype=np.uint8),
             line=np.zeros(CURRENT_LINE),
-            sensors=np.zeros((len(CHANNELS), 3)),
-            sensor_lines=np.zeros((len(CHANNELS), SENSOR_LINE)),
         )
 
+    def slowest_time(self) -> float:
+        """Return the longest time constant of the body and of the effects that are on [s]."""
+        found = [float(self.coefficients[Coefficient.TIME_CONSTANT])]
+        for key in self.active():
+            block = blocks()[key]
+            name = effects()[block.effect].slowest_time
+            found += [float(self.coefficients[block.places[name]])] if name else []
+        return max(found)
+
     def settled_state(self, current: float, dt: float) -> ChainState:
-        """Return the memory of a device that was brought up from its cold rest and then held at a current [A] for long."""
+        """Return the memory of a device that was brought up from its cold rest and then held at a current [A] for long.
+
+        It is simulated: at the sample period for 15 time constants of the body, then with steps twice as long each
+        time, until the slowest process has had 15 of its time constants. The effects' own time stands still meanwhile.
+        """
         state = self.initial_state()
-        longest = max(self.coefficients[Coefficient.TIME_CONSTANT] * 15.0, 20.0 * dt)
-        count = int(min((longest + self.coefficients[Coefficient.DEAD_TIME]) / dt, 50_000))
-        last = self.run(np.full(count, float(current)), dt=dt, state=state)[-1]
+        still = Simulation(**{**self.__dict__, "coefficients": self.coefficients.copy()})
+        still.coefficients[Coefficient.CLOCK] = 0.0
+        for name in (Sensor.NOISE, Sensor.NOISE_RELATIVE):
+            still.coefficients[[sensor_index(channel, name) for channel in CHANNELS]] = 0.0
         x = state.scalars
-        x[Slot.SAMPLE] = 0.0
-        x[Slot.REVERSALS] = 0.0
+        body = max(self.coefficients[Coefficient.TIME_CONSTANT] * RESTED, 20.0 * dt)
+        count = int(min((body + still.prepared(dt)[Coefficient.DEAD_TIME]) / dt, 50_000))
+        still.run(np.full(count, float(current)), dt=dt, state=state)
+        period, left = dt, RESTED * self.slowest_time() - count * dt
+        while left > dt:
+            # the driver's output stands in the whole line: a step of another length finds it there
+            state.line[:] = x[Slot.CURRENT]
+            period *= 2.0
+            patient = Simulation(
+                **{**still.__dict__, "steps_per_constant": dt / period * self.steps_per_constant}
+            )
+            patient.run(np.full(REST_BLOCK, float(current)), dt=period, state=state)
+            left -= REST_BLOCK * period
         state.line[:] = x[Slot.CURRENT]
-        state.sensor_lines[:] = last[: len(CHANNELS), None]
+        if period != dt:  # rings of the last values belong to the sample period
+            still.run(np.full(RING, float(current)), dt=dt, state=state)
+        x[Slot.SAMPLE] = 0.0
         return state
 
     def run(
@@ -173,23 +238,20 @@ class Simulation:
         state: ChainState | None = None,
     ) -> Floats:
         """Run on `current` (n,) [A]; return (n, 9) as `chain.COLUMNS` describes. `state` is updated in place."""
-        c, mode = self.prepared(dt)
+        c = self.prepared(dt)
         memory = self.initial_state() if state is None else state
         noise = normals
         if noise is None:
             noise = np.zeros((current.size, len(CHANNELS)))
         out = np.empty((current.size, chain.COLUMNS))
-        self.call(c, mode, memory, current, noise, out)
+        self.call(c, memory, current, noise, out)
         return out
 
-    def call(
-        self, c: Floats, mode: Floats, state: ChainState, current: Floats, normals: Floats, out: Floats
-    ) -> None:
+    def call(self, c: Floats, state: ChainState, current: Floats, normals: Floats, out: Floats) -> None:
         """Run the compiled chain on checked arrays; nothing is allocated."""
         chain.run_chain(
-            self.kind, c, mode, self.packed_r, self.packed_d, self.poly_r, self.poly_d, self.levels,
-            self.domains, state.scalars, state.play_r, state.play_d, state.metallic, state.line, state.sensors,
-            state.sensor_lines, current, normals, out,
+            self.kind, c, self.packed_r, self.packed_d, self.poly_r, self.poly_d, self.levels, self.domains,
+            state.scalars, state.play_r, state.play_d, state.metallic, state.line, current, normals, out,
         )  # fmt: skip
 
     def simulate(

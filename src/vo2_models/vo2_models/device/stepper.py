@@ -37,7 +37,7 @@ class Stepper:
         self.sample = 0
         self._simulation = simulation
         self._state = simulation.initial_state()
-        self._c, self._mode = simulation.prepared(self.period)
+        self._c = simulation.prepared(self.period)
         self._generators = noise_generators(seed) if noise else []
         self._noise = np.zeros((_BLOCK, len(CHANNELS)))
         self._at = _BLOCK
@@ -65,7 +65,7 @@ class Stepper:
                 self._noise[:, k] = generator.standard_normal(_BLOCK)
         self._command[0] = current
         normals = self._noise[self._at : self._at + 1]
-        self._simulation.call(self._c, self._mode, self._state, self._command, normals, self._out)
+        self._simulation.call(self._c, self._state, self._command, normals, self._out)
         self._at += 1
         self.sample += 1
         return self._row[self._places] if self._measured is None else self._measured.copy()

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device import DeviceModel, preset
-from vo2_models.device.coefficients import CHANNELS, HUGE, Coefficient, Sensor, sensor_index
+from vo2_models.device.coefficients import CHANNELS, Coefficient, Sensor, blocks, sensor_index
 from vo2_models.device.simulation import Simulation
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.propagate_correction import Film, corrected_film, film_alone, propagate_correction
+from vo2_models.effects import effects
 from vo2_models.identification.digest import CalibrationDigest
 from vo2_models.identification.enrichment import Correction, EnrichmentBasis
 from vo2_models.model_file import load_model_parameters
@@ -231,7 +232,7 @@ class Nominal:
         if settled:
             lead = int(np.ceil(10 * (c[Coefficient.TIME_CONSTANT] + c[Coefficient.DEAD_TIME]) / dt))
             current = np.concatenate([np.full(lead, current[0]), current])
-        steps = FINE if fine and _between_samples(chain.coefficients, dt) else 1
+        steps = FINE if fine and _between_samples(chain, dt) else 1
         if steps > 1:
             current, dt = np.repeat(current, steps), dt / steps
         # a candidate may drive the simulation out of anything physical: it must only look very wrong
@@ -280,22 +281,28 @@ def rounded_with_noise(values: Floats, step: float, noise: Floats) -> Floats:
 
 def _without_rounding(chain: Simulation) -> tuple[Simulation, dict[str, float]]:
     """The same chain with fine converters, and the steps of the coarse ones."""
-    places = {channel: sensor_index(channel, Sensor.STEP) for channel in CHANNELS}
+    steps = {block.signal: block for block in blocks().values() if block.effect == "adc_quantization"}
     grids = {
-        channel: float(chain.coefficients[k]) for channel, k in places.items() if chain.coefficients[k] > 0
+        channel: float(chain.coefficients[block.places["step"]])
+        for channel, block in steps.items()
+        if chain.coefficients[block.active]
     }
     if not grids:
         return chain, {}
     c = chain.coefficients.copy()
-    c[list(places.values())] = 0.0
+    c[[steps[channel].active for channel in grids]] = 0.0
     return replace(chain, coefficients=c), grids
 
 
-def _between_samples(c: Floats, dt: float) -> bool:
+def _between_samples(chain: Simulation, dt: float) -> bool:
     """Whether what happens between two samples counts: a late or slow sensor or a fast mode feels it, a slow driver makes it."""
-    late = [sensor_index(channel, sensor) for channel in CHANNELS for sensor in (Sensor.LAG, Sensor.CLOCK)]
-    rings = c[Coefficient.MODE_SHARE] != 0.0 and c[Coefficient.MODE_FREQUENCY] * dt > RINGING
-    return bool(np.any(c[late] > 0.0) or c[Coefficient.SLEW] < HUGE or rings)
+    for key in chain.active():
+        block = blocks()[key]
+        record = effects()[block.effect]
+        tones = [chain.coefficients[block.places[p.name]] for p in record.parameters if p.unit == "Hz"]
+        if record.between_samples or any(tone * dt > RINGING for tone in tones):
+            return True
+    return False
 
 
 def basis_of(device: str) -> EnrichmentBasis:

@@ -1,14 +1,14 @@
 """One converter is coarse."""
 
-from vo2_models.device.coefficients import Sensor
-from vo2_models.effects.record import Effect, constant_of, setting
+import numpy as np
+
+from vo2_models.effects.record import Effect, constant_of
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
 EFFECT = Effect(
     id="adc_quantization",
     stage="sensor",
     parameters=(constant_of("step", 0, "channel unit", "distance of neighbouring values", 0, 1e12),),
-    apply=setting(step=Sensor.STEP),
     channels=(RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE),
     signal=True,
     typical={
@@ -18,6 +18,7 @@ EFFECT = Effect(
         "peltier:tip_deflection": {"step": (1e-6, 4e-6)},
         "peltier:stage_temperature": {"step": (0.3, 1.0)},
     },
+    order=10,
     equation="y = step round(y_true / step)",
     excitation="slow ramps; the histogram shows a comb",
     source="any text on data acquisition",
@@ -26,3 +27,7 @@ EFFECT = Effect(
         "histogram is a comb and slow ramps become stairs."
     ),
 )
+
+
+def converter(value, step):
+    return np.rint(value / step) * step

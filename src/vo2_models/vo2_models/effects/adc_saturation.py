@@ -1,7 +1,7 @@
 """One converter clips."""
 
-from vo2_models.device.coefficients import HUGE, Sensor
-from vo2_models.effects.record import Effect, constant_of, setting
+from vo2_models.device.coefficients import HUGE
+from vo2_models.effects.record import Effect, constant_of
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
 EFFECT = Effect(
@@ -11,7 +11,6 @@ EFFECT = Effect(
         constant_of("low", -HUGE, "channel unit", "lowest value the converter shows", -HUGE, HUGE),
         constant_of("high", HUGE, "channel unit", "highest value the converter shows", -HUGE, HUGE),
     ),
-    apply=setting(low=Sensor.LOW, high=Sensor.HIGH),
     channels=(RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE),
     signal=True,
     typical={
@@ -21,6 +20,7 @@ EFFECT = Effect(
         "peltier:tip_deflection": {"high": (50e-6, 64e-6)},
         "peltier:stage_temperature": {"high": (68.0, 78.0)},
     },
+    order=20,
     equation="y = min(max(y_true, low), high)",
     excitation="values beyond the limit; the histogram shows a wall",
     source="any text on data acquisition",
@@ -29,3 +29,7 @@ EFFECT = Effect(
         "others move on."
     ),
 )
+
+
+def converter(value, low, high):
+    return min(max(value, low), high)

@@ -1,7 +1,6 @@
 """The surroundings warm or cool during the recording."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import HEAT, Effect, constant_of, setting
+from vo2_models.effects.record import HEAT, Effect, constant_of
 
 EFFECT = Effect(
     id="ambient_drift",
@@ -10,7 +9,6 @@ EFFECT = Effect(
         constant_of("rate", 0, "K/s", "change of the ambient temperature per time", -10, 10),
         constant_of("curvature", 0, "K/s^2", "half its change of rate per time", -1, 1),
     ),
-    apply=setting(rate=Coefficient.DRIFT_RATE, curvature=Coefficient.DRIFT_CURVATURE),
     channels=HEAT,
     typical={"integrated": {"rate": (0.1, 0.4)}, "peltier": {"rate": (0.5e-3, 3e-3)}},
     equation="T0(t) = T0 + rate t + curvature t^2",
@@ -22,3 +20,7 @@ EFFECT = Effect(
         "motion."
     ),
 )
+
+
+def ambient(time, rate, curvature):
+    return time * (rate + time * curvature)

@@ -1,7 +1,7 @@
 """A lightly damped mode of the structure."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import Effect, constant_of, setting
+from vo2_models.device.mode import mode_step
+from vo2_models.effects.record import Effect, State, constant_of
 from vo2_models.recording import TIP_DEFLECTION
 
 EFFECT = Effect(
@@ -12,14 +12,18 @@ EFFECT = Effect(
         constant_of("frequency", 1, "Hz", "undamped natural frequency", 1e-3, 1e6),
         constant_of("damping", 0.02, "1", "damping ratio", 1e-4, 1),
     ),
-    apply=setting(
-        share=Coefficient.MODE_SHARE, frequency=Coefficient.MODE_FREQUENCY, damping=Coefficient.MODE_DAMPING
-    ),
     channels=(TIP_DEFLECTION,),
     typical={
         "integrated": {"share": (0.7, 1.0), "frequency": (40.0, 300.0), "damping": (0.005, 0.05)},
         "peltier": {"share": (0.7, 1.0), "frequency": (0.3, 2.5), "damping": (0.005, 0.05)},
     },
+    states=(
+        State("mode", "m", "displacement of the mode"),
+        State("speed", "m", "its rate per rad of the mode"),
+        State("last", "m", "deflection of the sample before"),
+    ),
+    derived=("zz", "zr", "zl", "zn", "rz", "rr", "rl", "rn"),
+    order=60,
     equation="z'' + 2 zeta w z' + w^2 z = w^2 D; D_measured = (1 - share) D + share z",
     excitation="steps or a chirp through the mode's frequency, sampled faster than twice that frequency",
     source=(
@@ -33,3 +37,24 @@ EFFECT = Effect(
         "modes of the package."
     ),
 )
+
+
+def prepare(values, period, time_constant):
+    """Exact step of the mode over a period."""
+    return mode_step(values["frequency"], values["damping"], period, time_constant=time_constant).ravel()
+
+
+def settled(deflection):
+    return deflection, 0.0, deflection
+
+
+def advance(deflection, mode, speed, last, zz, zr, zl, zn, rz, rr, rl, rn):
+    return (
+        zz * mode + zr * speed + zl * last + zn * deflection,
+        rz * mode + rr * speed + rl * last + rn * deflection,
+        deflection,
+    )
+
+
+def structure(deflection, mode, share):
+    return deflection + share * (mode - deflection)

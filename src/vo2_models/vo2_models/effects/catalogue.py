@@ -1,34 +1,102 @@
-"""The catalogue of effects: what the folder holds."""
+"""The catalogue of effects: what this folder holds, and a user's own files beside it.
+
+A user's own effects are the files of the folders that the variable `VO2_EFFECTS` lists (`--effects DIR` sets it), and
+what installed packages offer under the entry point `vo2_models.effects` (a module each).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import importlib.util
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import cache
 from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
 from pkgutil import iter_modules
+from types import ModuleType
 
-import numpy as np
-from numpy.typing import NDArray
+from vo2_models.effects.record import HOOKS, Effect
 
-from vo2_models.effects.record import Effect
+__all__ = ["VARIABLE", "effect", "effect_ids", "effects", "load_effect"]
 
-__all__ = ["apply_effects", "effect", "effect_ids", "effects"]
+_MACHINERY = ("catalogue", "record", "skeleton")
+VARIABLE = "VO2_EFFECTS"
+"""Environment variable with folders of effect files; a variable, so that processes that are started have it too."""
 
-_MACHINERY = ("catalogue", "record")
+
+def _modules() -> Iterator[ModuleType]:
+    import vo2_models.effects as folder
+
+    for module in sorted(iter_modules(folder.__path__), key=lambda m: m.name):
+        if module.name not in _MACHINERY:
+            yield import_module(f"{folder.__name__}.{module.name}")
+    for name in filter(None, os.environ.get(VARIABLE, "").split(os.pathsep)):
+        place = Path(name)
+        if not place.is_dir():
+            raise ValueError(f"--effects {place}: found no such folder, need one with effect files")
+        files = sorted(place.glob("*.py"))
+        if not files:
+            raise ValueError(f"--effects {place}: found no Python file, need one that defines EFFECT")
+        yield from map(_module_of, files)
+    for point in sorted(entry_points(group="vo2_models.effects"), key=lambda p: p.name):
+        yield point.load()
+
+
+def _module_of(file: Path) -> ModuleType:
+    """Import one effect file; raise a `ValueError` with file and line for anything that it raises."""
+    name = f"vo2_effects_{file.stem}"
+    spec = importlib.util.spec_from_file_location(name, file)
+    if spec is None or spec.loader is None:
+        raise ValueError(f"{file}: cannot be imported; need a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        raise ValueError(f"{file}: cannot be imported ({type(error).__name__}: {error})") from error
+    return module
+
+
+def load_effect(module: ModuleType) -> Effect:
+    """Return the effect of a module, with its hooks, checked.
+
+    Raises
+    ------
+    ValueError : no EFFECT in it, another id than the file's name, or whatever `Effect.check` finds.
+    """
+    file = str(module.__file__)
+    record = getattr(module, "EFFECT", None)
+    if not isinstance(record, Effect):
+        raise ValueError(f"{file}: EFFECT: found {type(record).__name__}, need an Effect")
+    if record.id != Path(file).stem:
+        raise ValueError(f"{file}: found id {record.id!r}, need the file's name")
+    names = (*HOOKS, "advance", "settled", "prepare")
+    hooks = {name: getattr(module, name) for name in names if callable(getattr(module, name, None))}
+    complete = replace(record, hooks=hooks, file=file)
+    complete.check()
+    return complete
 
 
 @cache
 def effects() -> Mapping[str, Effect]:
-    """Return all effects by id, in alphabetical order."""
-    import vo2_models.effects as folder
+    """Return all effects by id, in alphabetical order; a user's own are behind the catalogue's.
 
-    found = {}
-    for module in sorted(iter_modules(folder.__path__), key=lambda m: m.name):
-        if module.name not in _MACHINERY:
-            record: Effect = import_module(f"{folder.__name__}.{module.name}").EFFECT
-            if record.id != module.name:
-                raise ValueError(f"effects/{module.name}.py: found id {record.id!r}, need the file's name")
-            found[record.id] = record
+    Raises
+    ------
+    ValueError : a file that is not sound, or an id that is there already.
+    """
+    found: dict[str, Effect] = {}
+    for module in _modules():
+        record = load_effect(module)
+        if record.id in found:
+            raise ValueError(
+                f"{record.file}: found the id {record.id!r} twice, need another name for the file"
+            )
+        found[record.id] = record
     return found
 
 
@@ -42,24 +110,3 @@ def effect(name: str) -> Effect:
     if name not in effects():
         raise ValueError(f"effect: found {name!r}, need one of {', '.join(effects())}")
     return effects()[name]
-
-
-def apply_effects(
-    c: NDArray[np.float64], values: Mapping[str, Mapping[str, float | str]], *, device: str
-) -> None:
-    """Write effects `{id: {parameter: value, "signal": channel}}` into the coefficient vector `c`.
-
-    An id may be followed by ":" and a word, so that one effect can sit on several signals.
-
-    Raises
-    ------
-    ValueError : unknown effect or parameter, value out of range, effect that cannot occur on the device.
-    """
-    for key, given in values.items():
-        record = effect(key.split(":")[0])
-        if device not in record.presets:
-            raise ValueError(
-                f"{record.id}: cannot occur on device {device!r}, only on {', '.join(record.presets)}"
-            )
-        complete, signal = record.complete(given)
-        record.apply(c, complete, device, signal)

@@ -1,7 +1,6 @@
 """Cooling slower or faster than heating."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import HEAT, Effect, constant_of, setting
+from vo2_models.effects.record import HEAT, Effect, constant_of
 
 EFFECT = Effect(
     id="cooling_asymmetry",
@@ -9,7 +8,6 @@ EFFECT = Effect(
     parameters=(
         constant_of("ratio", 0, "1", "time constant of cooling over that of heating, minus 1", -0.7, 2),
     ),
-    apply=setting(ratio=Coefficient.COOLING_RATIO),
     channels=HEAT,
     typical={"integrated": {"ratio": (0.1, 0.4)}, "peltier": {"ratio": (0.1, 0.4)}},
     equation="tau = tau_heating where dT/dt > 0, tau_heating (1 + ratio) where dT/dt < 0",
@@ -21,3 +19,7 @@ EFFECT = Effect(
         "harmonics."
     ),
 )
+
+
+def lag(surplus, ratio):
+    return 1.0 + ratio if surplus < 0.0 else 1.0

@@ -1,7 +1,8 @@
 """Part of the deflection arrives late."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import Effect, constant_of, setting
+import math
+
+from vo2_models.effects.record import Effect, State, constant_of
 from vo2_models.recording import TIP_DEFLECTION
 
 EFFECT = Effect(
@@ -12,12 +13,14 @@ EFFECT = Effect(
         constant_of("time_constant", 1, "s", "time constant of the creep", 1e-4, 1e6),
         constant_of("gain", 0, "1", "change of the resting deflection that comes with it", -0.5, 0.5),
     ),
-    apply=setting(share=Coefficient.CREEP, time_constant=Coefficient.CREEP_TIME, gain=Coefficient.CREEP_GAIN),
     channels=(TIP_DEFLECTION,),
     typical={
         "integrated": {"share": (0.03, 0.12), "time_constant": (0.05, 0.5)},
         "peltier": {"share": (0.03, 0.12), "time_constant": (60.0, 200.0)},
     },
+    states=(State("crept", "m", "deflection that the creeping part has reached"),),
+    slowest_time="time_constant",
+    order=40,
     equation="D_measured = (1 + gain - share) D + share x; tau dx/dt = D - x",
     excitation="steps held for several creep time constants",
     source="standard linear solid; section 5.1.2 looked for it and found none",
@@ -27,3 +30,15 @@ EFFECT = Effect(
         "deflection is late, with gain = share the late part comes on top of it."
     ),
 )
+
+
+def settled(deflection):
+    return deflection
+
+
+def advance(deflection, period, crept, time_constant):
+    return crept - math.expm1(-period / time_constant) * (deflection - crept)
+
+
+def structure(deflection, crept, share, gain):
+    return deflection + (share * (crept - deflection) + gain * deflection)

@@ -1,7 +1,6 @@
 """The heater's resistance grows with its temperature."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import HEAT, Effect, constant_of, setting
+from vo2_models.effects.record import HEAT, Effect, constant_of
 
 EFFECT = Effect(
     id="heater_tcr",
@@ -9,7 +8,6 @@ EFFECT = Effect(
     parameters=(
         constant_of("alpha", 0, "1/K", "temperature coefficient of the heater's resistance", -0.008, 0.008),
     ),
-    apply=setting(alpha=Coefficient.HEATER_TCR),
     channels=HEAT,
     presets=("integrated",),
     typical={"integrated": {"alpha": (0.3e-3, 2e-3)}},
@@ -24,3 +22,7 @@ EFFECT = Effect(
         "temperature: the same current heats more when the device is hot. The gain grows with temperature."
     ),
 )
+
+
+def pumping(joule, alpha):
+    return joule * alpha

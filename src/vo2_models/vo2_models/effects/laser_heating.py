@@ -1,19 +1,7 @@
 """The sensing laser warms the film."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-
-from vo2_models.device.coefficients import HUGE, Coefficient
-from vo2_models.effects.record import FILM, Effect, Floats, constant_of
-
-
-def _apply(c: Floats, values: Mapping[str, float], device: str, signal: str) -> None:
-    # chapter 5: the laser warms the cantilever; the sensor of the Peltier stage underneath does not see it
-    c[Coefficient.LASER_FILM if device == "peltier" else Coefficient.LASER] = values["rise"]
-    c[Coefficient.LASER_FROM] = values["start"]
-    c[Coefficient.LASER_UNTIL] = values["stop"]
-
+from vo2_models.device.coefficients import HUGE
+from vo2_models.effects.record import FILM, Effect, constant_of
 
 EFFECT = Effect(
     id="laser_heating",
@@ -23,10 +11,10 @@ EFFECT = Effect(
         constant_of("start", -HUGE, "s", "when the laser is switched on", -HUGE, HUGE),
         constant_of("stop", HUGE, "s", "when it is switched off", -HUGE, HUGE),
     ),
-    apply=_apply,
     channels=FILM,
     fixed=("start", "stop"),
     typical={"integrated": {"rise": (1.0, 4.0)}, "peltier": {"rise": (1.0, 4.0)}},
+    order=30,
     equation="T_film = T + rise while the laser is on",
     excitation=(
         "the laser switched on and off during the recording; a steady laser is absorbed by the ambient "
@@ -39,3 +27,12 @@ EFFECT = Effect(
         "Peltier stage the film alone is warmed, its stage and stage sensor are not."
     ),
 )
+
+
+def heating(time, on_stage, rise, start, stop):
+    return rise if start <= time < stop and on_stage == 0.0 else 0.0
+
+
+def film(time, on_stage, rise, start, stop):
+    # chapter 5: the laser warms the cantilever; the sensor of the stage underneath does not see it
+    return rise if start <= time < stop and on_stage != 0.0 else 0.0

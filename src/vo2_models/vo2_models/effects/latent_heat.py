@@ -1,7 +1,6 @@
 """Latent heat of the transition."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import HEAT, PHASE, Effect, constant_of, setting
+from vo2_models.effects.record import HEAT, PHASE, Effect, constant_of
 
 EFFECT = Effect(
     id="latent_heat",
@@ -12,7 +11,6 @@ EFFECT = Effect(
         ),
         PHASE,
     ),
-    apply=setting(latent=Coefficient.LATENT, phase=Coefficient.METALLIC_LEADS),
     channels=HEAT,
     presets=("integrated",),
     typical={"integrated": {"latent": (5.0, 25.0)}},
@@ -29,3 +27,7 @@ EFFECT = Effect(
         "outside the transition."
     ),
 )
+
+
+def latent(latent):
+    return latent

@@ -1,7 +1,6 @@
 """Domains feel the phase around them."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import FILM, Effect, constant_of, setting
+from vo2_models.effects.record import FILM, Effect, constant_of
 
 EFFECT = Effect(
     id="minor_loop_incongruency",
@@ -11,7 +10,6 @@ EFFECT = Effect(
             "kappa", 0, "K", "shift of the effective temperature from all insulating to all metallic", -6, 6
         ),
     ),
-    apply=setting(kappa=Coefficient.INCONGRUENCY),
     channels=FILM,
     typical={"integrated": {"kappa": (1.0, 3.0)}, "peltier": {"kappa": (1.0, 3.0)}},
     equation="T_eff = T + kappa (s - 1/2), s the switched share of the same transition's output",
@@ -26,3 +24,7 @@ EFFECT = Effect(
         "shape at every fraction, which no superposition of independent domains can do."
     ),
 )
+
+
+def feedback(share, kappa):
+    return kappa * (share - 0.5)

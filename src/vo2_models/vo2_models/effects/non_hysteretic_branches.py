@@ -1,7 +1,6 @@
 """Branches inside the loop are not flat."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import FILM, Effect, constant_of, setting
+from vo2_models.effects.record import FILM, Effect, State, constant_of
 
 EFFECT = Effect(
     id="non_hysteretic_branches",
@@ -13,14 +12,12 @@ EFFECT = Effect(
         constant_of("band", 1, "K", "half width of the band within which it is reversible", 0.05, 20),
         constant_of("share", 0, "1", "part of the fraction that follows the anhysteretic curve", -0.5, 0.9),
     ),
-    apply=setting(
-        slope=Coefficient.REVERSIBLE, band=Coefficient.REVERSIBLE_BAND, share=Coefficient.REVERSIBLE_SHARE
-    ),
     channels=FILM,
     typical={
         "integrated": {"slope": (0.005, 0.02), "band": (1.0, 3.0)},
         "peltier": {"slope": (0.005, 0.02), "band": (1.0, 3.0)},
     },
+    states=(State("centre", "degC", "centre of the reversible band"),),
     equation=(
         "s = s_h + 4 slope s_h (1 - s_h) (T - b) + share (s_a(T) - s_h), s_h hysteretic, s_a half way between the major "
         "branches, b the play of radius `band` on T"
@@ -34,3 +31,15 @@ EFFECT = Effect(
         "between the branches all along."
     ),
 )
+
+
+def settled(film, band):
+    return film - band
+
+
+def advance(film, centre, band):
+    return min(max(centre, film - band), film + band)
+
+
+def beside(half_way, film, middle, centre, slope, share):
+    return slope * (film - centre) * half_way + share * middle

@@ -1,7 +1,6 @@
 """Joule heat and back-conduction of the Peltier element."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import HEAT, Effect, constant_of, setting
+from vo2_models.effects.record import HEAT, Effect, constant_of
 
 EFFECT = Effect(
     id="peltier_joule_heating",
@@ -12,10 +11,10 @@ EFFECT = Effect(
             "pumping", 0, "1/A", "change of the pumped heat with the temperature difference", -0.5, 0.5
         ),
     ),
-    apply=setting(rho=Coefficient.SQUARE_GAIN, pumping=Coefficient.PUMPING),
     channels=HEAT,
     presets=("peltier",),
     typical={"peltier": {"rho": (1.5, 6.0), "pumping": (0.01, 0.05)}},
+    order=10,
     equation="tau dtheta/dt = K i + rho i^2 + pumping i theta - theta",
     excitation="currents of both signs at equal magnitude",
     source="heat balance of a thermoelectric element, any text on Peltier devices",
@@ -25,3 +24,11 @@ EFFECT = Effect(
         " current and bends with its magnitude."
     ),
 )
+
+
+def heating(current, rho):
+    return rho * current * current
+
+
+def pumping(current, pumping):
+    return pumping * current

@@ -1,7 +1,6 @@
 """Expansion differs between the phases."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import Effect, constant_of, setting
+from vo2_models.effects.record import Effect, constant_of
 from vo2_models.recording import TIP_DEFLECTION
 
 EFFECT = Effect(
@@ -17,7 +16,6 @@ EFFECT = Effect(
             1e-6,
         ),
     ),
-    apply=setting(slope=Coefficient.HOT_EXPANSION),
     channels=(TIP_DEFLECTION,),
     typical={"integrated": {"slope": (0.06e-6, 0.2e-6)}, "peltier": {"slope": (0.06e-6, 0.2e-6)}},
     equation="D = D_0 - slope s (T - T0)",
@@ -29,3 +27,7 @@ EFFECT = Effect(
         "between them. Resistance is untouched."
     ),
 )
+
+
+def bending(film, fraction, ambient_of_device, slope):
+    return -(slope * fraction * (film - ambient_of_device))

@@ -1,7 +1,6 @@
 """The metallic phase conducts heat differently."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import HEAT, PHASE, Effect, constant_of, setting
+from vo2_models.effects.record import HEAT, PHASE, Effect, constant_of
 
 EFFECT = Effect(
     id="phase_dependent_heat_loss",
@@ -12,7 +11,6 @@ EFFECT = Effect(
         ),
         PHASE,
     ),
-    apply=setting(gamma=Coefficient.PHASE_LOSS, phase=Coefficient.METALLIC_LEADS),
     channels=HEAT,
     presets=("integrated",),
     typical={"integrated": {"gamma": (0.04, 0.15)}},
@@ -28,3 +26,7 @@ EFFECT = Effect(
         "current the film has another temperature on the heating than on the cooling branch."
     ),
 )
+
+
+def conductance(fraction, gamma):
+    return gamma * fraction

@@ -1,36 +1,36 @@
-"""What an effect is: a named term with its equation, parameters and reach."""
+"""What an effect is: a named term with its equation, parameters, states and compiled hooks."""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vo2_models.device.coefficients import Coefficient, Sensor, sensor_index
 from vo2_models.parameters import Parameter
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
 __all__ = [
+    "ADVANCE",
     "ALL",
     "CHOICE",
+    "DEVICE",
     "FILM",
     "HEAT",
+    "HOOKS",
     "PHASE",
-    "Apply",
+    "SENSED",
+    "SETTLED",
     "Effect",
+    "Hook",
     "Stage",
+    "State",
     "constant_of",
-    "scaled_by_device",
-    "setting",
 ]
 
 Stage = Literal["driver", "thermal", "transition", "terminals", "structure", "sensor"]
-Floats = NDArray[np.float64]
-Apply = Callable[[Floats, Mapping[str, float], str, str], None]
-"""(coefficient vector to change, parameter values, device, signal) -> None."""
 
 FILM = (RESISTANCE, TIP_DEFLECTION)
 """What a change of the film's temperature or phase reaches."""
@@ -38,6 +38,143 @@ HEAT = (RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
 """What a change of the heated body's temperature reaches."""
 ALL = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
 """What a change of the current itself reaches."""
+SENSED = (RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
+"""Channels with a sensor of their own."""
+
+_FAMILIES = {"driver": "drive", "thermal": "heat", "terminals": "film"}
+"""Stage -> family, where the words differ; a sensor's family has the channel's name behind it."""
+
+DEVICE = ("time_constant_of_body", "ambient_of_device", "on_stage")
+"""Constants of the device that every hook can take: [s]; [degC]; 1 where the film sits on a heated stage that has a
+temperature of its own, 0 where film and heated body are one."""
+
+
+@dataclass(frozen=True)
+class Hook:
+    """One place of the chain where an effect can act.
+
+    Attributes
+    ----------
+    stage : the stage it belongs to
+    takes : quantities of the stage that a hook function can name among its arguments, with their units
+    gives : what it returns, with its unit
+    substeps : whether the exact one-step solution of the linear thermal model does not suffice with it
+    """
+
+    stage: Stage
+    takes: Mapping[str, str]
+    gives: str
+    substeps: bool = False
+
+
+HOOKS: dict[str, Hook] = {
+    "drive": Hook("driver", {"current": "A", "previous": "A", "time": "s", "period": "s"}, "current [A]"),
+    "delay": Hook("driver", {}, "seconds added to the dead time"),
+    "ambient": Hook("thermal", {"time": "s"}, "kelvins added to the ambient temperature"),
+    "heating": Hook(
+        "thermal",
+        {"current": "A", "joule": "K", "resistance": "ohm", "time": "s"},
+        "kelvins added to the temperature rise that the drive holds at rest",
+    ),
+    "pumping": Hook(
+        "thermal",
+        {"current": "A", "joule": "K"},
+        "part of the temperature rise added to the drive [1]",
+        substeps=True,
+    ),
+    "conductance": Hook(
+        "thermal", {"fraction": "1"}, "relative change of the thermal conductance [1]", substeps=True
+    ),
+    "loss": Hook(
+        "thermal",
+        {"rise": "K"},
+        "relative additional loss [1], and the derivative of rise times loss [1]",
+        substeps=True,
+    ),
+    "lag": Hook("thermal", {"surplus": "K"}, "factor of the body's time constant [1]"),
+    "latent": Hook("thermal", {}, "kelvins that the whole transition takes up", substeps=True),
+    "body": Hook(
+        "thermal",
+        {},
+        "change of the body's temperature per kelvin of rise [1], and kelvins added to it",
+        substeps=True,
+    ),
+    "film": Hook("thermal", {"resistance": "ohm", "time": "s"}, "kelvins of the film above its body"),
+    "shift": Hook("transition", {}, "kelvins added to what both transitions see"),
+    "structural_shift": Hook("transition", {}, "kelvins added to what the structural transition sees"),
+    "feedback": Hook(
+        "transition",
+        {"share": "1"},
+        "kelvins added to what a transition sees, from its own switched share",
+        substeps=True,
+    ),
+    "follow": Hook(
+        "transition",
+        {"equilibrium": "output", "before": "output", "output": "output", "h": "s"},
+        "output after a step of h at whose begin the equilibrium was `before` and the output `output`",
+        substeps=True,
+    ),
+    "beside": Hook(
+        "transition",
+        {"half_way": "1", "film": "degC", "middle": "1"},
+        "fraction added to the switched one; half_way = 4 s (1 - s); middle: anhysteretic fraction minus s",
+        substeps=True,
+    ),
+    "terminals": Hook(
+        "terminals", {"value": "ohm", "current": "A", "time": "s"}, "resistance at the terminals [ohm]"
+    ),
+    "bending": Hook("structure", {"film": "degC", "fraction": "1"}, "metres added to the film's deflection"),
+    "structure": Hook("structure", {"deflection": "m", "period": "s"}, "deflection [m]"),
+    "sensor": Hook(
+        "sensor",
+        {"value": "unit", "time": "s", "period": "s", "sample": "1", "current": "A"},
+        "value before the sensor's noise, in the channel's unit",
+    ),
+    "converter": Hook(
+        "sensor", {"value": "unit", "time": "s"}, "value behind the noise, in the channel's unit"
+    ),
+}
+"""Every hook by name. A hook is a function of that name in the effect's file; what it needs it names as arguments:
+quantities of its stage, own parameters, own states, numbers of `prepare`, and constants of the device."""
+
+ADVANCE: Mapping[str, Mapping[str, str]] = {
+    "driver": {"current": "A", "period": "s"},
+    "thermal": {"drive": "K", "h": "s", "time": "s"},
+    "transition": {"film": "degC", "h": "s"},
+    "terminals": {"value": "ohm", "current": "A", "period": "s"},
+    "structure": {"deflection": "m", "period": "s"},
+    "sensor": {"value": "unit", "period": "s", "sample": "1"},
+}
+"""Stage -> what `advance`, which moves the states on by one step, can take besides parameters and states."""
+SETTLED: Mapping[str, Mapping[str, str]] = {
+    "driver": {"current": "A"},
+    "thermal": {"drive": "K"},
+    "transition": {"film": "degC"},
+    "terminals": {"value": "ohm"},
+    "structure": {"deflection": "m"},
+    "sensor": {"value": "unit"},
+}
+"""Stage -> what `settled`, which returns the states after a long rest, can take besides parameters."""
+
+
+@dataclass(frozen=True)
+class State:
+    """One memory of an effect.
+
+    Attributes
+    ----------
+    name : as the hooks take it
+    unit : SI unit text
+    description : one sentence
+    settled : value after a long rest; None where the function `settled` of the file gives all states
+    size : how many numbers; a hook takes `memory` and finds the first of several at the place `memory[NAME]`
+    """
+
+    name: str
+    unit: str
+    description: str
+    settled: float | None = None
+    size: int = 1
 
 
 @dataclass(frozen=True)
@@ -46,36 +183,55 @@ class Effect:
 
     Attributes
     ----------
-    id : name in the contract
+    id : name in the contract, and of the file
     stage : part of the chain it belongs to
     parameters : name, unit, physical bounds and neutral value (`default`) of each parameter
-    apply : writes the parameters into a coefficient vector
     channels : channels it can reach; for a signal effect the signals it can sit on, of which it reaches one
+    equation : the added term
+    excitation : what a recording must contain to show it
+    source : where the term comes from
+    statement : one paragraph in words
+    states : memories of the effect
+    slowest_time : parameter that holds the time constant of the slowest state; empty where there is none
     signal : whether it sits on one channel, named with "signal"
     presets : devices on which it can occur
     typical : preset, or "preset:signal", -> parameter -> range of clearly visible magnitudes, for demonstrations
     fixed : parameters that an excitation cannot separate from the others; a fit leaves them at their default
     straight : whether what it does grows in proportion to the time: what bends in time is something else
-    equation : the added term
-    excitation : what a recording must contain to show it
-    source : where the term comes from
-    statement : one paragraph in words
+    linear : whether what a structure makes of a sum is the sum of what it makes of the parts
+    order : place among the effects of its hook, lowest first; the order of the signal's way through the device
+    derived : names of the numbers that `prepare(values, period, time_constant)` returns, for the hooks
+    between_samples : whether what happens between two samples counts with it
+    hooks, file : filled in by the catalogue: the functions of the effect's file, and its path
     """
 
     id: str
     stage: Stage
     parameters: tuple[Parameter, ...]
-    apply: Apply
     channels: tuple[str, ...]
     typical: Mapping[str, Mapping[str, tuple[float, float]]] = field(hash=False)
     equation: str
     excitation: str
     source: str
     statement: str
+    states: tuple[State, ...] = ()
+    slowest_time: str = ""
     signal: bool = False
     presets: tuple[str, ...] = ("integrated", "peltier")
     fixed: tuple[str, ...] = ()
     straight: bool = False
+    linear: bool = True
+    order: int = 50
+    derived: tuple[str, ...] = ()
+    between_samples: bool = False
+    hooks: Mapping[str, Callable[..., Any]] = field(default_factory=dict, hash=False, compare=False)
+    file: str = field(default="", compare=False)
+
+    def family(self, signal: str = "") -> str:
+        """Return the family of the contract: drive, heat, transition, film, structure, sensor:CHANNEL, clock:CHANNEL."""
+        if self.stage == "sensor":
+            return f"{'clock' if self.id == 'clock_offset' else 'sensor'}:{signal}"
+        return _FAMILIES.get(self.stage, self.stage)
 
     def neutral(self) -> dict[str, float]:
         """Return the parameter values at which the effect is off."""
@@ -132,25 +288,54 @@ class Effect:
                 raise ValueError(f"{self.id}.{error}") from error
         return complete, signal
 
-
-def setting(**coefficients: Coefficient | Sensor) -> Apply:
-    """Return an `apply` that writes each named parameter to its coefficient (of the signal's sensor)."""
-
-    def apply(c: Floats, values: Mapping[str, float], device: str, signal: str) -> None:
-        for name, index in coefficients.items():
-            place = sensor_index(signal, index) if isinstance(index, Sensor) else int(index)
-            c[place] = values[name]
-
-    return apply
-
-
-def scaled_by_device(name: str, places: Mapping[str, Coefficient]) -> Apply:
-    """Return an `apply` that writes the parameter `name` to the coefficient that the device has for it."""
-
-    def apply(c: Floats, values: Mapping[str, float], device: str, signal: str) -> None:
-        c[places[device]] = values[name]
-
-    return apply
+    def check(self) -> None:
+        """Raise a `ValueError` that names file, key, what was found and what is needed, where the file is not sound."""
+        where = self.file or f"effect {self.id}"
+        if self.stage not in get_args(Stage):
+            raise ValueError(
+                f"{where}: stage: found {self.stage!r}, need one of {', '.join(get_args(Stage))}"
+            )
+        for p in self.parameters:
+            if not p.unit:
+                raise ValueError(
+                    f"{where}: parameter {p.name}: found no unit, need an SI unit text, 1 for a number"
+                )
+            if p.lower is None or p.upper is None or not p.lower < p.upper:
+                raise ValueError(
+                    f"{where}: parameter {p.name}: found bounds {p.lower} to {p.upper}, need lower < upper"
+                )
+        own = {p.name for p in self.parameters}
+        for state in self.states:
+            if state.settled is None and "settled" not in self.hooks:
+                raise ValueError(
+                    f"{where}: state {state.name}: found no settled value, need a number or a function settled"
+                )
+        acting = [name for name in self.hooks if name in HOOKS]
+        if not acting:
+            raise ValueError(f"{where}: found no hook, need a function named one of {', '.join(HOOKS)}")
+        if self.states and "advance" not in self.hooks:
+            raise ValueError(
+                f"{where}: found states but no hook advance, need a function that returns their next values"
+            )
+        if self.derived and "prepare" not in self.hooks:
+            raise ValueError(f"{where}: found derived numbers but no function prepare that returns them")
+        if self.slowest_time and self.slowest_time not in own:
+            raise ValueError(
+                f"{where}: slowest_time: found {self.slowest_time!r}, need a parameter of the effect"
+            )
+        known = own | {s.name for s in self.states} | set(self.derived) | set(DEVICE)
+        known |= {"memory"} if any(s.size > 1 for s in self.states) else set()
+        for name, function in self.hooks.items():
+            if name == "prepare":
+                continue
+            by_stage = {"advance": ADVANCE, "settled": SETTLED}.get(name)
+            takes = by_stage[self.stage] if by_stage else HOOKS[name].takes
+            for argument in inspect.signature(function).parameters:
+                if argument not in known and argument not in takes:
+                    raise ValueError(
+                        f"{where}: hook {name}: found the argument {argument!r}, need some of "
+                        f"{', '.join([*takes, *sorted(known)])}"
+                    )
 
 
 def constant_of(
@@ -165,3 +350,4 @@ CHOICE = "choice"
 PHASE = constant_of(
     "phase", 0, CHOICE, "transition whose fraction s counts: 0 the structural one, 1 the metallic one", 0, 1
 )
+"""Parameter of an effect whose hook takes `fraction`, or that has latent heat: which fraction that is."""

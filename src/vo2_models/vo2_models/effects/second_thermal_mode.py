@@ -1,7 +1,8 @@
 """A slow thermal path beside the fast one."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import HEAT, Effect, constant_of, setting
+import math
+
+from vo2_models.effects.record import HEAT, Effect, State, constant_of
 
 EFFECT = Effect(
     id="second_thermal_mode",
@@ -18,14 +19,13 @@ EFFECT = Effect(
         constant_of("time_constant", 1, "s", "time constant of the slow path", 1e-4, 1e5),
         constant_of("gain", 0, "1", "change of the steady gain that comes with it", -0.5, 0.5),
     ),
-    apply=setting(
-        share=Coefficient.SLOW_SHARE, time_constant=Coefficient.SLOW_TIME, gain=Coefficient.SLOW_GAIN
-    ),
     channels=HEAT,
     typical={
         "integrated": {"share": (0.02, 0.08), "time_constant": (0.03, 0.3)},
         "peltier": {"share": (0.02, 0.08), "time_constant": (80.0, 250.0)},
     },
+    states=(State("slow", "K", "temperature rise of the slow body"),),
+    slowest_time="time_constant",
     equation="T = T0 + (1 + gain - share) theta_1 + share theta_2; tau_2 dtheta_2/dt = k1 i + k2 i^2 - theta_2",
     excitation="steps held for several times the slow time constant",
     source=(
@@ -38,3 +38,15 @@ EFFECT = Effect(
         "creep would move the deflection alone."
     ),
 )
+
+
+def settled(drive):
+    return drive
+
+
+def advance(drive, h, slow, time_constant):
+    return slow - math.expm1(-h / time_constant) * (drive - slow)
+
+
+def body(slow, share, gain):
+    return gain - share, share * slow

@@ -1,7 +1,6 @@
 """The current that senses the resistance heats the film."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import FILM, Effect, constant_of, scaled_by_device
+from vo2_models.effects.record import FILM, Effect, constant_of
 
 EFFECT = Effect(
     id="sense_self_heating",
@@ -16,11 +15,9 @@ EFFECT = Effect(
             1e-3,
         ),
     ),
-    apply=scaled_by_device(
-        "coefficient", {"integrated": Coefficient.SENSE, "peltier": Coefficient.SENSE_FILM}
-    ),
     channels=FILM,
     typical={"integrated": {"coefficient": (4e-6, 15e-6)}, "peltier": {"coefficient": (8e-6, 30e-6)}},
+    order=20,
     equation="T rises by k I_s^2 R",
     excitation="the cold side and the onset of the transition; a second sense current separates it from other terms",
     source="mismatch table of the project; Joule heating of thermistors",
@@ -30,3 +27,12 @@ EFFECT = Effect(
         " the transition is stretched."
     ),
 )
+
+
+def heating(resistance, on_stage, coefficient):
+    return coefficient * resistance if on_stage == 0.0 else 0.0
+
+
+def film(resistance, on_stage, coefficient):
+    # on a stage that is much heavier than the film only the film itself gets warmer
+    return coefficient * resistance if on_stage != 0.0 else 0.0

@@ -1,18 +1,17 @@
 """One sensor's gain drifts."""
 
-from vo2_models.device.coefficients import Sensor
-from vo2_models.effects.record import Effect, constant_of, setting
+from vo2_models.effects.record import Effect, constant_of
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
 EFFECT = Effect(
     id="sensor_gain_drift",
     stage="sensor",
     parameters=(constant_of("rate", 0, "1/s", "relative change of the gain per time", -1, 1),),
-    apply=setting(rate=Sensor.DRIFT),
     channels=(RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE),
     signal=True,
     straight=True,
     typical={"integrated": {"rate": (1e-3, 5e-3)}, "peltier": {"rate": (1e-5, 6e-5)}},
+    order=40,
     equation="y = y_true (1 + rate t)",
     excitation="identical loops at the start and the end of the recording",
     source="any text on instrumentation",
@@ -21,3 +20,7 @@ EFFECT = Effect(
         "recording lasts, while the other channels repeat themselves."
     ),
 )
+
+
+def sensor(value, time, rate):
+    return value * (1.0 + rate * time)

@@ -1,17 +1,24 @@
 """One sensor answers with a lag."""
 
-from vo2_models.device.coefficients import Sensor
-from vo2_models.effects.record import Effect, constant_of, setting
+import math
+
+from vo2_models.effects.record import Effect, State, constant_of
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
 EFFECT = Effect(
     id="sensor_lag",
     stage="sensor",
     parameters=(constant_of("time_constant", 0, "s", "time constant of the sensor", 0, 1e4),),
-    apply=setting(time_constant=Sensor.LAG),
     channels=(RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE),
     signal=True,
     typical={"integrated": {"time_constant": (0.7e-3, 4e-3)}, "peltier": {"time_constant": (0.7, 4.0)}},
+    states=(
+        State("lagged", "unit", "what the sensor shows"),
+        State("last", "unit", "value of the sample before"),
+    ),
+    slowest_time="time_constant",
+    between_samples=True,
+    order=10,
     equation="tau dy/dt = y_true - y",
     excitation="steps or a chirp with another channel to compare",
     source="any text on instrumentation",
@@ -20,3 +27,21 @@ EFFECT = Effect(
         " and late while the other channels are as before."
     ),
 )
+
+
+def settled(value):
+    return value, value
+
+
+def advance(value, period, time_constant_of_body, lagged, last, time_constant):
+    # exact for an input that moves from sample to sample as the heat does under a held current
+    heat, slow = max(period / time_constant_of_body, 1e-3), period / time_constant
+    gap = slow - heat
+    left = math.exp(-slow)
+    meanwhile = math.exp(-heat) * slow * (-math.expm1(-gap) / gap if abs(gap) > 1e-6 else 1.0)
+    old = (meanwhile - math.exp(-heat) * (1.0 - left)) / -math.expm1(-heat)
+    return lagged * left + last * old + value * (1.0 - left - old), value
+
+
+def sensor(lagged):
+    return lagged

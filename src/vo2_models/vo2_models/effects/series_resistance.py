@@ -1,16 +1,15 @@
 """Leads and contacts in series with the film."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import Effect, constant_of, setting
+from vo2_models.effects.record import Effect, constant_of
 from vo2_models.recording import RESISTANCE
 
 EFFECT = Effect(
     id="series_resistance",
     stage="terminals",
     parameters=(constant_of("resistance", 0, "ohm", "resistance added in series", 0, 1e6),),
-    apply=setting(resistance=Coefficient.SERIES),
     channels=(RESISTANCE,),
     typical={"integrated": {"resistance": (300.0, 1500.0)}, "peltier": {"resistance": (40.0, 200.0)}},
+    order=20,
     equation="R_measured = R + r",
     excitation="the metallic plateau",
     source="any text on two-terminal measurement",
@@ -20,3 +19,7 @@ EFFECT = Effect(
         " own."
     ),
 )
+
+
+def terminals(value, resistance):
+    return value + resistance

@@ -1,13 +1,13 @@
 """The phase needs time to follow the temperature."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import FILM, Effect, constant_of, setting
+import math
+
+from vo2_models.effects.record import FILM, Effect, constant_of
 
 EFFECT = Effect(
     id="transition_kinetics",
     stage="transition",
     parameters=(constant_of("time_constant", 0, "s", "relaxation time of the phase fraction", 0, 1e4),),
-    apply=setting(time_constant=Coefficient.KINETICS),
     channels=FILM,
     typical={"integrated": {"time_constant": (0.3e-3, 2e-3)}, "peltier": {"time_constant": (1.0, 6.0)}},
     equation="tau_k ds/dt = s_eq[T] - s",
@@ -19,3 +19,10 @@ EFFECT = Effect(
         "before."
     ),
 )
+
+
+def follow(equilibrium, before, output, h, time_constant):
+    # exact for an equilibrium that moves linearly through the step
+    ramp = -math.expm1(-h / time_constant) * time_constant / h
+    left = math.exp(-h / time_constant)
+    return equilibrium - (equilibrium - before) * ramp + (output - before) * left

@@ -1,7 +1,6 @@
 """Structural and metallic transition drift apart."""
 
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.effects.record import Effect, constant_of, setting
+from vo2_models.effects.record import Effect, constant_of
 from vo2_models.recording import TIP_DEFLECTION
 
 EFFECT = Effect(
@@ -12,7 +11,6 @@ EFFECT = Effect(
             "offset", 0, "K", "change of the temperature that the structural transition sees", -15, 15
         ),
     ),
-    apply=setting(offset=Coefficient.TRANSITION_OFFSET),
     channels=(TIP_DEFLECTION,),
     typical={"integrated": {"offset": (0.8, 3.0)}, "peltier": {"offset": (0.8, 3.0)}},
     equation="s_structural = S[T + offset]",
@@ -24,3 +22,7 @@ EFFECT = Effect(
         "resistance opens although both single loops keep their shape."
     ),
 )
+
+
+def structural_shift(offset):
+    return offset

@@ -2,8 +2,8 @@
 
 Numba's own cache notices a change of the file that a kernel stands in. But the compiled code contains what the kernel
 calls, and constants, from other files too. Here the place of the cache is named by a digest of that file, of all
-files of the same project that it imports, directly or not, and of the versions of numba and numpy: what was compiled
-from other sources is simply not found.
+files of the same project that it imports, directly or not, of the files that a module of these names as its
+`KERNEL_SOURCES`, and of the versions of numba and numpy: what was compiled from other sources is simply not found.
 """
 
 from __future__ import annotations
@@ -69,6 +69,9 @@ def source_digest(*paths: str) -> str:
             seen.add(path)
             todo += _imports(path)
     total = hashlib.sha256(f"numba {numba.__version__} numpy {numpy.__version__}".encode())
+    for module in list(sys.modules.values()):
+        if getattr(module, "__file__", None) in seen:
+            seen.update(getattr(module, "KERNEL_SOURCES", ()))
     # by content, not by place: the same sources in another folder make the same code
     for content in sorted(Path(path).read_bytes() for path in seen):
         total.update(hashlib.sha256(content).digest())
