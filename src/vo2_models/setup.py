@@ -26,4 +26,5 @@ setup(
     license=PACKAGE.findtext("license"),
     # newer setuptools drops tests_require, and colcon would then silently run no test
     extras_require={"test": ["pytest"]},
+    entry_points={"console_scripts": ["new-effect = vo2_models.effects.skeleton:main"]},
 )

@@ -153,7 +153,10 @@ def _refuse(message: str) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    from vo2_models.effects.catalogue import add_effects_option
+
     parser = argparse.ArgumentParser(prog="fit", description=_DESCRIPTION)
+    add_effects_option(parser)
     parser.add_argument(
         "--bag", type=Path, action="append", required=True, help="bag to fit; may be repeated"
     )

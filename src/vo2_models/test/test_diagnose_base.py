@@ -119,7 +119,7 @@ def test_a_late_sensor_sees_what_happens_between_samples(name, parameter) -> Non
     assert error < 0.5 * np.abs(rough - exact)[100:].max()
 
 
-@pytest.mark.parametrize("name", [e.id for e in effects().values() if "integrated" in e.presets])
+@pytest.mark.parametrize("name", [e.id for e in effects().values() if e.occurs_on("integrated")])
 def test_what_acts_behind_the_film_may_share_its_simulation(name) -> None:
     effect = effects()[name]
     basis, current, dt = basis_of("integrated"), _drive(), 1e-3

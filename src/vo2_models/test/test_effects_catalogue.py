@@ -1,10 +1,13 @@
 """Every effect: off it changes nothing at all, on it reaches the channels it names and no other."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import vo2_models.device
 from scipy.integrate import solve_ivp
+from scipy.special import erfcx
 from vo2_models.device import preset, truth
 from vo2_models.device.coefficients import apply_effects, neutral
 from vo2_models.effects import effect, effect_ids, effects
@@ -42,12 +45,25 @@ CONTRACT = [
     "peltier_joule_heating",
     "slow_relaxation",
     "non_hysteretic_branches",
+    "loop_width_difference",
+    "substrate_diffusion",
+    "log_creep",
+    "averaging",
+    "drive_gain_drift",
+    "thermovoltage",
+    "contact_drift",
+    "source_compression",
+    "backlash",
+    "stiffening",
+    "sensor_ripple",
 ]
+PRESETS = ("integrated", "peltier")
 
 CASES = [
     (device, name, signal)
     for name, record in effects().items()
-    for device in record.presets
+    for device in PRESETS
+    if record.occurs_on(device)
     for signal in record.signals(device)
 ]
 
@@ -82,7 +98,7 @@ def _drawn(device: str, name: str, signal: str) -> dict:
 
 def test_catalogue_is_the_contract():
     assert set(effect_ids()) == set(CONTRACT)
-    assert len(CONTRACT) == 31
+    assert len(CONTRACT) == 42
     assert "latent_heat" not in effect_ids("peltier")
     assert "peltier_joule_heating" not in effect_ids("integrated")
 
@@ -114,7 +130,7 @@ def test_neutral_is_bitwise_nothing_and_typical_reaches_what_it_names(device, na
 @pytest.mark.parametrize("name", effect_ids())
 def test_record_is_complete(name):
     record = effect(name)
-    assert record.parameters and record.presets
+    assert record.parameters and any(record.occurs_on(device) for device in PRESETS)
     for text in (record.equation, record.excitation, record.source):
         assert len(text) > 5
     assert len(record.statement) > 100
@@ -125,7 +141,7 @@ def test_record_is_complete(name):
         assert parameter.lower <= default <= parameter.upper
     assert set(record.fixed) <= {p.name for p in record.parameters}
     c = neutral()
-    for device in record.presets:
+    for device in filter(record.occurs_on, PRESETS):
         for signal in record.signals(device):
             values = record.neutral() | ({"signal": signal} if signal else {})
             apply_effects(c, {name: values}, device=device)
@@ -358,3 +374,139 @@ def test_a_motion_back_that_is_slower_than_the_drift_is_a_hold():
     assert np.all(np.diff(base[late, 5]) > 0.0) and np.all(base[late, 8] > 0.02)
     drift = run[late, 8] - base[late, 8]
     assert np.all(drift < 0.0)  # on towards the insulator, as cooling left it
+
+
+def _settled_after(name: str, device: str, values: dict, current: float, dt: float, seconds: float):
+    """(settled start, the same current held from the cold rest) : last row of each of all columns."""
+    simulation = truth(device, seed=2, domains=200, effects={name: values})
+    settled = simulation.run(np.full(3, current), dt=dt, state=simulation.settled_state(current, dt))[-1]
+    return settled, simulation.run(np.full(int(seconds / dt), current), dt=dt)[-1]
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "seconds"),
+    [
+        ("second_thermal_mode", {"share": 0.06, "time_constant": 0.3}, 6.0),
+        ("creep", {"share": 0.1, "time_constant": 0.4, "gain": 0.02}, 8.0),
+        ("transition_kinetics", {"time_constant": 0.2}, 4.0),
+        ("substrate_diffusion", {"share": 0.06, "time_constant": 1e-4}, 20.0),
+        ("backlash", {"width": 1e-6}, 1.0),
+        ("averaging", {"window": 5e-3, "signal": RESISTANCE}, 1.0),
+    ],
+)
+def test_a_settled_start_is_where_a_long_hold_ends(name, values, seconds):
+    settled, held = _settled_after(name, "integrated", values, 6.4e-3, 1e-3, seconds)
+    np.testing.assert_allclose(settled, held, rtol=2e-4)
+
+
+def test_a_structure_that_creeps_for_ever_is_at_its_end_in_a_settled_start():
+    plain = truth("integrated", domains=200)
+    creeping = truth("integrated", domains=200, effects={"log_creep": {"rate": 0.02}})
+    rows = [
+        d.run(np.full(2, 6.4e-3), dt=1e-3, state=d.settled_state(6.4e-3, 1e-3)) for d in (plain, creeping)
+    ]
+    np.testing.assert_allclose(rows[1], rows[0], rtol=1e-6)  # the body itself is at exp(-15) of rest
+
+
+def test_a_drift_in_time_begins_with_the_recording_and_not_before():
+    for name, values in (("ambient_drift", {"rate": 0.4}), ("contact_drift", {"rate": 200.0})):
+        simulation = truth("integrated", domains=200, effects={name: values})
+        plain = truth("integrated", domains=200)
+        started = simulation.run(np.full(1, 6e-3), dt=1e-3, state=simulation.settled_state(6e-3, 1e-3))
+        expected = plain.run(np.full(1, 6e-3), dt=1e-3, state=plain.settled_state(6e-3, 1e-3))
+        np.testing.assert_allclose(started, expected, rtol=1e-5)
+
+
+def test_heat_that_diffuses_arrives_with_the_root_of_the_time():
+    """1 / (1 + sqrt(s tau)) : 1 - exp(t / tau) erfc(sqrt(t / tau)) after a step."""
+    tau, dt = 0.05, 1e-3
+    base, run = _pair(
+        "substrate_diffusion", "integrated", np.full(4000, 4.5e-3), share=0.1, time_constant=tau
+    )
+    full = base["true_temperature"][-1] - 22.0
+    late = run["true_temperature"] - base["true_temperature"] + 0.1 * (base["true_temperature"] - 22.0)
+    time = dt * np.arange(1, 4001)
+    expected = 0.1 * full * (1.0 - erfcx(np.sqrt(time / tau)))
+    assert np.max(np.abs(late - expected)[5:]) < 0.01 * 0.1 * full
+
+
+def test_logarithmic_creep_gives_the_same_in_every_decade():
+    base, run = _pair(
+        "log_creep", "integrated", np.r_[np.zeros(10), np.full(20000, 4.5e-3)], rate=0.01, onset=2e-3
+    )
+    gone = (run[TIP_DEFLECTION] - base[TIP_DEFLECTION])[10:]
+    step = base[TIP_DEFLECTION][-1] - base[TIP_DEFLECTION][0]
+    decades = np.diff(gone[[30, 300, 3000]])
+    assert decades == pytest.approx(0.01 * np.log(10.0) * step, rel=0.1)
+
+
+def test_averaging_is_the_mean_over_the_window():
+    current = np.repeat(np.random.default_rng(3).uniform(4.2e-3, 4.8e-3, 40), 9)
+    for window in (3e-3, 4.6e-3):
+        base, run = _pair("averaging", "integrated", current, window=window, signal=TIP_DEFLECTION)
+        fine = np.interp(np.arange(current.size * 10) / 10, np.arange(current.size), base[TIP_DEFLECTION])
+        width = round(window * 1e4)
+        mean = np.array([fine[max(10 * k - width, 0) : 10 * k + 1].mean() for k in range(current.size)])
+        assert np.max(np.abs(run[TIP_DEFLECTION] - mean)[20:]) < 0.03 * np.ptp(fine)
+
+
+@pytest.mark.parametrize("difference", [1.2, -1.2])
+def test_a_loop_width_difference_moves_the_branches_apart_by_half_of_it_each(difference):
+    ramp = np.repeat(np.r_[np.linspace(3e-3, 8.6e-3, 500), np.linspace(8.6e-3, 3e-3, 500)], 8)
+    base, run = _pair("loop_width_difference", "integrated", ramp, difference=difference)
+    assert np.array_equal(base[RESISTANCE], run[RESISTANCE])
+    turn = int(np.argmax(base["true_temperature"]))
+
+    def crossing(found, part):
+        d, t = found["true_tip_deflection"][part], base["true_temperature"][part]
+        return np.interp(30e-6, d, t) if d[0] < d[-1] else np.interp(30e-6, d[::-1], t[::-1])
+
+    inner = (base["true_temperature"] > 55.0) & (base["true_temperature"] < 68.0)
+    up = np.flatnonzero(inner[:turn])
+    down = turn + np.flatnonzero(
+        (base["true_temperature"] > 48.0)[turn:] & (base["true_temperature"] < 62.0)[turn:]
+    )
+    assert crossing(run, up) - crossing(base, up) == pytest.approx(difference / 2, abs=0.12)
+    assert crossing(run, down) - crossing(base, down) == pytest.approx(-difference / 2, abs=0.12)
+
+
+def test_new_terms_follow_their_equations():
+    hot = np.full(60, 8.2e-3)
+    base, run = _pair("thermovoltage", "integrated", hot, coefficient=20.0)
+    assert run[RESISTANCE] - base[RESISTANCE] == pytest.approx(
+        20.0 * (base["true_temperature"] - 22.0), rel=1e-9
+    )
+    base, run = _pair("contact_drift", "integrated", hot, rate=100.0)
+    assert run[RESISTANCE] - base[RESISTANCE] == pytest.approx(100.0 * 1e-3 * np.arange(60), abs=1e-6)
+    _, run = _pair("source_compression", "integrated", hot, compression=2000.0)
+    assert run[HEATER_CURRENT] == pytest.approx(8.2e-3 / (1 + 2000.0 * 8.2e-3**2))
+    _, run = _pair("drive_gain_drift", "integrated", hot, rate=1.0)
+    assert run[HEATER_CURRENT] == pytest.approx(8.2e-3 * (1 + 1e-3 * np.arange(60)))
+    base, run = _pair("drive_gain_drift", "integrated", np.full(3000, 4e-3), rate=0.1, logged=0.0)
+    assert np.array_equal(run[HEATER_CURRENT], base[HEATER_CURRENT])
+    grown = (run["true_temperature"] - 22.0)[-1] / (base["true_temperature"] - 22.0)[-1]
+    assert grown == pytest.approx((1 + 0.1 * 2.997) ** 2, rel=2e-3)
+    base, run = _pair("stiffening", "integrated", hot, stiffness=2e7)
+    d = base[TIP_DEFLECTION]
+    assert run[TIP_DEFLECTION] == pytest.approx(d / (1 + 2e7 * d**2), rel=1e-9)
+    values = {"amplitude": 1e-6, "pitch": 9e-6, "phase_angle": 0.4, "signal": TIP_DEFLECTION}
+    base, run = _pair("sensor_ripple", "integrated", hot, **values)
+    d = base[TIP_DEFLECTION]
+    assert run[TIP_DEFLECTION] - d == pytest.approx(1e-6 * np.sin(2 * np.pi * d / 9e-6 + 0.4), abs=1e-12)
+    dither = np.tile([2.0e-3, 4.6e-3], 200).repeat(10)
+    base, run = _pair("backlash", "integrated", dither, width=0.4e-6)
+    assert np.ptp(base[TIP_DEFLECTION][-40:]) - np.ptp(run[TIP_DEFLECTION][-40:]) == pytest.approx(
+        0.8e-6, rel=0.02
+    )
+
+
+def test_magnitudes_of_another_device_follow_its_own_sizes(tmp_path):
+    file = tmp_path / "large.yaml"
+    text = (Path(vo2_models.device.__file__).parent / "files" / "integrated.yaml").read_text()
+    file.write_text(text.replace("id: integrated", "id: large").replace("1.8e-3", "18.0e-3"))
+    small, large = (effect("second_thermal_mode").magnitudes(device) for device in ("integrated", str(file)))
+    assert large["share"] == small["share"]
+    assert large["time_constant"] == pytest.approx([10 * v for v in small["time_constant"]])
+    assert effect("latent_heat").occurs_on(str(file)) and not effect("peltier_joule_heating").occurs_on(
+        str(file)
+    )

@@ -22,6 +22,8 @@ __all__ = ["continue_with_next", "diagnose_bags", "main"]
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit status: 0 whatever was found, 2 on unusable input."""
+    from vo2_models.effects.catalogue import add_effects_option
+
     parser = argparse.ArgumentParser(
         prog="diagnose",
         description="Compare recordings with a fitted simulation: where they differ, what physics was left out, "
@@ -42,6 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--namespace", default="/vo2", help="of the loop, for --next. Default: /vo2.")
     parser.add_argument("--quiet", action="store_true", help="no progress")
+    add_effects_option(parser)
     options = parser.parse_args(arguments)
     try:
         return _run(options)

@@ -192,6 +192,8 @@ def _sum(hook: str, *, start: str = "0.0") -> list[str]:
         quantities = {
             "fraction": f"(x[{int(Slot.FRACTION_R)} + WHICH] + 0.5 * x[{int(Slot.LAST_CHANGE_R)} + WHICH])"
         }
+    if hook == "structural_shift":
+        names, quantities = [], {"film": f"x[{int(Slot.FILM)}]"}
     lines = [*_guarded(hook, names, hook, start), f"    total = {start}"]
     for record, block in _with_hook(hook):
         lines += [
@@ -343,7 +345,9 @@ def source() -> str:
     parts += _in_turn("drive", "current") + _in_turn("terminals", "value")
     parts += _in_turn("structure", "deflection") + _in_turn("structure", "deflection", linear=True)
     parts += _rest_in_turn("drive", "current", {"previous": "0.0", "time": "0.0", "period": "1.0"})
-    parts += _rest_in_turn("terminals", "value", {"current": "0.0", "time": "0.0"})
+    parts += _rest_in_turn(
+        "terminals", "value", {"current": "0.0", "time": "0.0", "film": f"x[{int(Slot.FILM)}]"}
+    )
     parts += _rest_in_turn("structure", "deflection", {"period": "1.0"})
     for stage in ("thermal", "transition"):
         parts += _of_stage(stage, "advance") + _of_stage(stage, "settle")

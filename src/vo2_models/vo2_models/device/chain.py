@@ -29,7 +29,15 @@ from vo2_models.device.state import CURRENT_LINE
 from vo2_models.device.state import Slot as S
 from vo2_models.numerics.kernel import kernel
 
-__all__ = ["COLUMNS", "finish_film", "late_correction", "run_chain", "see_film", "through_linear_structure"]
+__all__ = [
+    "COLUMNS",
+    "bring_to_rest",
+    "finish_film",
+    "late_correction",
+    "run_chain",
+    "see_film",
+    "through_linear_structure",
+]
 
 COLUMNS = 9
 """Columns of the output: the four sensor channels, then true deflection [m], film temperature [degC], true
@@ -157,7 +165,7 @@ def run_chain(
         x[S.RESISTANCE] = film
         tip = generated.structure(c, x, _film_deflection(kind, c, x, poly_d), period)
         out[k, 0] = current
-        out[k, 1] = generated.terminals(c, x, film, current, time)
+        out[k, 1] = generated.terminals(c, x, film, current, time, x[S.FILM])
         out[k, 2] = tip
         out[k, 3] = x[S.STAGE]
         for channel in range(_COUNT):
@@ -171,6 +179,19 @@ def run_chain(
         out[k, 7] = x[S.OUT_R]
         out[k, 8] = x[S.OUT_D]
         x[S.SAMPLE] += 1.0
+
+
+@kernel
+def bring_to_rest(kind, c, x, poly_r, poly_d, current, heat):
+    """Bring slow bodies (`heat` true), or what is behind the film, to where they come in the end under a held current [A]."""
+    if heat:
+        joule = c[C.LINEAR_GAIN] * current + c[C.SQUARE_GAIN] * current * current
+        drive = joule + generated.heating(c, x, current, joule, x[S.RESISTANCE], -c[C.SAMPLE_PERIOD])
+        generated.settle_thermal(c, x, drive)
+    else:
+        _settle_behind_film(
+            c, x, _film_resistance(kind, c, x, poly_r), _film_deflection(kind, c, x, poly_d), x[S.STAGE]
+        )
 
 
 # --- what a diagnosis asks of a film that has been simulated: the same functions on its columns --------------------
@@ -232,7 +253,7 @@ def finish_film(kind, c, x, poly_d, rest, at_rest, film, out, every, result):
         x[S.OUT_D] = out[k, 8] + film[k, 1]
         resistance = out[k, 6] * 10.0 ** min(max(film[k, 0], -30.0), 30.0)
         tip = generated.structure(c, x, _film_deflection(kind, c, x, poly_d), period)
-        terminal = generated.terminals(c, x, resistance, out[k, 0], time)
+        terminal = generated.terminals(c, x, resistance, out[k, 0], time, x[S.FILM])
         if c[_SENSORS + _PER_CHANNEL + N.IDEAL] == 0.0:
             terminal = _sense(c, x, 1, terminal, 0.0, time, period, k, out[k, 0])
         if c[_SENSORS + 2 * _PER_CHANNEL + N.IDEAL] == 0.0:

@@ -203,13 +203,16 @@ def apply_effects(c: Floats, values: Mapping[str, Mapping[str, float | str]], *,
     ------
     ValueError : unknown effect or parameter, value out of range, effect that cannot occur on the device.
     """
+    from vo2_models.device.description import preset
     from vo2_models.effects import effect
+    from vo2_models.effects.magnitude import lacks
 
     for key, given in values.items():
         record = effect(key.split(":")[0])
-        if device not in record.presets:
+        if not record.occurs_on(device):
+            described = preset(device)
             raise ValueError(
-                f"{record.id}: cannot occur on device {device!r}, only on {', '.join(record.presets)}"
+                f"{record.id}: cannot occur on device {described.id}: it lacks {lacks(record, described)}"
             )
         complete, signal = record.complete(given)
         block = blocks()[f"{record.id}:{signal}" if signal else record.id]

@@ -381,6 +381,7 @@ def _add_beside(kind, c, x, effective, effective_d, packed_r, packed_d, levels):
 @inner
 def seen_temperature(kind, c, x, film, out_r, out_d, h):
     """What each transition sees of a film [degC] whose outputs are known: with shifts and its own output fed back."""
+    x[S.FILM] = film
     generated.advance_transition(c, x, film, h)
     both = film + generated.shift(c, x)
     seen_r, seen_d = both, both + generated.structural_shift(c, x)

@@ -51,10 +51,6 @@ _NO_LEVELS = np.zeros((2, 2, 0))
 _NO_DOMAINS = np.zeros((2, 2, 0), dtype=np.int64)
 _NO_PLAYS = np.zeros(7)
 _NO_POLYNOMIAL = np.zeros(1)
-REST_BLOCK = 16
-"""Samples with which a device is brought to rest before the sample period is doubled."""
-RING = 256
-"""Samples that fill the rings of the sensors anew."""
 RESTED = 15.0
 """Time constants of the slowest process after which a device is at rest."""
 
@@ -201,33 +197,40 @@ class Simulation:
     def settled_state(self, current: float, dt: float) -> ChainState:
         """Return the memory of a device that was brought up from its cold rest and then held at a current [A] for long.
 
-        It is simulated: at the sample period for 15 time constants of the body, then with steps twice as long each
-        time, until the slowest process has had 15 of its time constants. The effects' own time stands still meanwhile.
+        The way there is simulated, for 15 time constants of the body and of the slowest process that has no settled
+        value of its own; what has one takes it: slow bodies, what creeps, sensors. The effects' own time stands still.
         """
         state = self.initial_state()
+        x = state.scalars
         still = Simulation(**{**self.__dict__, "coefficients": self.coefficients.copy()})
         still.coefficients[Coefficient.CLOCK] = 0.0
         for name in (Sensor.NOISE, Sensor.NOISE_RELATIVE):
             still.coefficients[[sensor_index(channel, name) for channel in CHANNELS]] = 0.0
-        x = state.scalars
-        body = max(self.coefficients[Coefficient.TIME_CONSTANT] * RESTED, 20.0 * dt)
-        count = int(min((body + still.prepared(dt)[Coefficient.DEAD_TIME]) / dt, 50_000))
-        still.run(np.full(count, float(current)), dt=dt, state=state)
-        period, left = dt, RESTED * self.slowest_time() - count * dt
-        while left > dt:
-            # the driver's output stands in the whole line: a step of another length finds it there
-            state.line[:] = x[Slot.CURRENT]
-            period *= 2.0
-            patient = Simulation(
-                **{**still.__dict__, "steps_per_constant": dt / period * self.steps_per_constant}
-            )
-            patient.run(np.full(REST_BLOCK, float(current)), dt=period, state=state)
-            left -= REST_BLOCK * period
-        state.line[:] = x[Slot.CURRENT]
-        if period != dt:  # rings of the last values belong to the sample period
-            still.run(np.full(RING, float(current)), dt=dt, state=state)
+        c = still.prepared(dt)
+        held = np.full(self._samples_to_rest(dt, c), float(current))
+        still.run(held, dt=dt, state=state)
+        if any(
+            effects()[key].stage == "thermal" and effects()[key].states
+            for key in self.active()
+            if ":" not in key
+        ):
+            for _ in range(3):  # where the film's resistance heats, the drive itself still moves
+                chain.bring_to_rest(self.kind, c, x, self.poly_r, self.poly_d, x[Slot.CURRENT], True)
+                still.run(held, dt=dt, state=state)
+            chain.bring_to_rest(self.kind, c, x, self.poly_r, self.poly_d, x[Slot.CURRENT], True)
+        chain.bring_to_rest(self.kind, c, x, self.poly_r, self.poly_d, x[Slot.CURRENT], False)
         x[Slot.SAMPLE] = 0.0
+        state.line[:] = x[Slot.CURRENT]
         return state
+
+    def _samples_to_rest(self, dt: float, c: Floats) -> int:
+        """Number of samples that the way to rest takes; 50 000 at the most."""
+        longest = c[Coefficient.TIME_CONSTANT]
+        for key in self.active():
+            block = blocks()[key]
+            name = effects()[block.effect].slowest_time
+            longest = max(longest, c[block.places[name]]) if name else longest
+        return int(min((max(longest * RESTED, 20.0 * dt) + c[Coefficient.DEAD_TIME]) / dt, 50_000))
 
     def run(
         self,

@@ -130,7 +130,7 @@ def hypotheses(problem: LinearisedProblem, device: str, residual: Floats) -> lis
     measured = {row.channel for row in problem.rows}
     found = []
     for record in effects().values():
-        if device not in record.presets:
+        if not record.occurs_on(device):
             continue
         for signal in record.signals(device):
             if not measured & set(record.reaches(device, signal)):
@@ -192,7 +192,7 @@ def _coarser_than_before(problem: LinearisedProblem, signal: str) -> bool:
 def _starts(
     problem: LinearisedProblem, record: Effect, signal: str, device: str, residual: Floats
 ) -> tuple[list[dict[str, float]], dict[str, float]]:
-    typical = record.typical.get(f"{device}:{signal}") or record.typical.get(device, {})
+    typical = record.magnitudes(device, signal)
     free = [p for p in record.parameters if p.name not in record.fixed]
     limits = [p for p in free if abs(_neutral(p)) >= HUGE and p.unit in ("A", "channel unit")]
     if limits:  # flat tops: each limit by itself, at places where the values end

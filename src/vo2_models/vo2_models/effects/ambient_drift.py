@@ -10,6 +10,7 @@ EFFECT = Effect(
         constant_of("curvature", 0, "K/s^2", "half its change of rate per time", -1, 1),
     ),
     channels=HEAT,
+    needs=("body",),
     typical={"integrated": {"rate": (0.1, 0.4)}, "peltier": {"rate": (0.5e-3, 3e-3)}},
     equation="T0(t) = T0 + rate t + curvature t^2",
     excitation="a recording with comparable parts early and late",

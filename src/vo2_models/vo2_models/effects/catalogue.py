@@ -6,6 +6,7 @@ what installed packages offer under the entry point `vo2_models.effects` (a modu
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import os
 import sys
@@ -17,14 +18,34 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from pkgutil import iter_modules
 from types import ModuleType
+from typing import Any
 
 from vo2_models.effects.record import HOOKS, Effect
 
-__all__ = ["VARIABLE", "effect", "effect_ids", "effects", "load_effect"]
+__all__ = ["VARIABLE", "add_effects_option", "effect", "effect_ids", "effects", "load_effect"]
 
-_MACHINERY = ("catalogue", "record", "skeleton")
+_MACHINERY = ("catalogue", "magnitude", "record", "skeleton")
 VARIABLE = "VO2_EFFECTS"
 """Environment variable with folders of effect files; a variable, so that processes that are started have it too."""
+
+
+def add_effects_option(parser: argparse.ArgumentParser) -> None:
+    """Give a command the option `--effects DIR`; it counts from the moment it is read, before anything is simulated."""
+    parser.add_argument(
+        "--effects",
+        type=Path,
+        action=_TakeEffects,
+        metavar="DIR",
+        help="folder with effect files of your own; may be repeated",
+    )
+
+
+class _TakeEffects(argparse.Action):
+    """Note a folder in the environment, so that processes that are started have it too."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+        folders = [f for f in os.environ.get(VARIABLE, "").split(os.pathsep) if f]
+        os.environ[VARIABLE] = os.pathsep.join(dict.fromkeys([*folders, str(values.resolve())]))
 
 
 def _modules() -> Iterator[ModuleType]:
@@ -102,7 +123,7 @@ def effects() -> Mapping[str, Effect]:
 
 def effect_ids(device: str | None = None) -> tuple[str, ...]:
     """Return the ids of all effects, or of those that can occur on a device."""
-    return tuple(key for key, record in effects().items() if device is None or device in record.presets)
+    return tuple(key for key, record in effects().items() if device is None or record.occurs_on(device))
 
 
 def effect(name: str) -> Effect:

@@ -9,6 +9,7 @@ EFFECT = Effect(
         constant_of("ratio", 0, "1", "time constant of cooling over that of heating, minus 1", -0.7, 2),
     ),
     channels=HEAT,
+    needs=("body",),
     typical={"integrated": {"ratio": (0.1, 0.4)}, "peltier": {"ratio": (0.1, 0.4)}},
     equation="tau = tau_heating where dT/dt > 0, tau_heating (1 + ratio) where dT/dt < 0",
     excitation="steps or a chirp up and down outside the transition",

@@ -19,7 +19,6 @@ EFFECT = Effect(
         "peltier": {"share": (0.03, 0.12), "time_constant": (60.0, 200.0)},
     },
     states=(State("crept", "m", "deflection that the creeping part has reached"),),
-    slowest_time="time_constant",
     order=40,
     equation="D_measured = (1 + gain - share) D + share x; tau dx/dt = D - x",
     excitation="steps held for several creep time constants",

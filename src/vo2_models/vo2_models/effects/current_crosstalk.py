@@ -8,6 +8,7 @@ EFFECT = Effect(
     stage="terminals",
     parameters=(constant_of("coupling", 0, "ohm/A", "apparent resistance per heater current", -1e8, 1e8),),
     channels=(RESISTANCE,),
+    needs=("resistance",),
     typical={"integrated": {"coupling": (4e4, 3e5)}, "peltier": {"coupling": (30.0, 200.0)}},
     order=30,
     equation="R_measured = R + chi i",

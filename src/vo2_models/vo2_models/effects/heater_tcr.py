@@ -9,7 +9,7 @@ EFFECT = Effect(
         constant_of("alpha", 0, "1/K", "temperature coefficient of the heater's resistance", -0.008, 0.008),
     ),
     channels=HEAT,
-    presets=("integrated",),
+    needs=("heater",),
     typical={"integrated": {"alpha": (0.3e-3, 2e-3)}},
     equation="tau dtheta/dt = k2 i^2 (1 + alpha theta) - theta",
     excitation=(

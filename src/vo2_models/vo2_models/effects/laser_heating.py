@@ -13,6 +13,7 @@ EFFECT = Effect(
     ),
     channels=FILM,
     fixed=("start", "stop"),
+    needs=("body",),
     typical={"integrated": {"rise": (1.0, 4.0)}, "peltier": {"rise": (1.0, 4.0)}},
     order=30,
     equation="T_film = T + rise while the laser is on",

@@ -12,7 +12,7 @@ EFFECT = Effect(
         PHASE,
     ),
     channels=HEAT,
-    presets=("integrated",),
+    needs=("one body",),
     typical={"integrated": {"latent": (5.0, 25.0)}},
     equation="tau (1 + L ds/dT) dT/dt = T_inf(i) - T, s of the structural (phase 0) or the metallic transition (phase 1)",
     excitation="crossings of the transition faster than a few time constants, at more than one rate",

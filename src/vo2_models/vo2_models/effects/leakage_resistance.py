@@ -8,6 +8,7 @@ EFFECT = Effect(
     stage="terminals",
     parameters=(constant_of("conductance", 0, "S", "conductance added beside the film", 0, 1),),
     channels=(RESISTANCE,),
+    needs=("resistance",),
     typical={"integrated": {"conductance": (2e-7, 1e-6)}, "peltier": {"conductance": (4e-7, 2e-6)}},
     order=10,
     equation="1 / R_measured = 1 / R + conductance",

@@ -13,6 +13,7 @@ EFFECT = Effect(
         constant_of("exponent", 2, "1", "exponent n of the additional loss", 1.05, 5),
     ),
     channels=HEAT,
+    needs=("body",),
     typical={"integrated": {"share": (0.03, 0.18)}, "peltier": {"share": (0.03, 0.18)}},
     derived=("beta",),
     equation="tau dtheta/dt = k u - theta - share theta |theta / 60 K|^(n-1)",

@@ -12,7 +12,7 @@ EFFECT = Effect(
         ),
     ),
     channels=HEAT,
-    presets=("peltier",),
+    needs=("pump",),
     typical={"peltier": {"rho": (1.5, 6.0), "pumping": (0.01, 0.05)}},
     order=10,
     equation="tau dtheta/dt = K i + rho i^2 + pumping i theta - theta",

@@ -12,7 +12,7 @@ EFFECT = Effect(
         PHASE,
     ),
     channels=HEAT,
-    presets=("integrated",),
+    needs=("one body",),
     typical={"integrated": {"gamma": (0.04, 0.15)}},
     equation="tau dtheta/dt = k u - (1 + gamma s) theta, s of the structural (phase 0) or metallic transition (phase 1)",
     excitation="both plateaus and the inside of the loop, at steady levels and at steps",

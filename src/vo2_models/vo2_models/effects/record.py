@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from vo2_models.effects.magnitude import NEEDS, lacks, magnitudes
 from vo2_models.parameters import Parameter
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
@@ -101,7 +102,9 @@ HOOKS: dict[str, Hook] = {
     ),
     "film": Hook("thermal", {"resistance": "ohm", "time": "s"}, "kelvins of the film above its body"),
     "shift": Hook("transition", {}, "kelvins added to what both transitions see"),
-    "structural_shift": Hook("transition", {}, "kelvins added to what the structural transition sees"),
+    "structural_shift": Hook(
+        "transition", {"film": "degC"}, "kelvins added to what the structural transition sees"
+    ),
     "feedback": Hook(
         "transition",
         {"share": "1"},
@@ -121,7 +124,9 @@ HOOKS: dict[str, Hook] = {
         substeps=True,
     ),
     "terminals": Hook(
-        "terminals", {"value": "ohm", "current": "A", "time": "s"}, "resistance at the terminals [ohm]"
+        "terminals",
+        {"value": "ohm", "current": "A", "time": "s", "film": "degC"},
+        "resistance at the terminals [ohm]",
     ),
     "bending": Hook("structure", {"film": "degC", "fraction": "1"}, "metres added to the film's deflection"),
     "structure": Hook("structure", {"deflection": "m", "period": "s"}, "deflection [m]"),
@@ -192,10 +197,11 @@ class Effect:
     source : where the term comes from
     statement : one paragraph in words
     states : memories of the effect
-    slowest_time : parameter that holds the time constant of the slowest state; empty where there is none
+    slowest_time : parameter that holds the time constant with which the effect comes to rest, where that is not told by
+        settled values; empty for none
     signal : whether it sits on one channel, named with "signal"
-    presets : devices on which it can occur
-    typical : preset, or "preset:signal", -> parameter -> range of clearly visible magnitudes, for demonstrations
+    needs : what a device must have for it, words of `magnitude.NEEDS`
+    typical : shipped device, or "device:signal", -> parameter -> range of clearly visible magnitudes, for demonstrations
     fixed : parameters that an excitation cannot separate from the others; a fit leaves them at their default
     straight : whether what it does grows in proportion to the time: what bends in time is something else
     linear : whether what a structure makes of a sum is the sum of what it makes of the parts
@@ -217,7 +223,7 @@ class Effect:
     states: tuple[State, ...] = ()
     slowest_time: str = ""
     signal: bool = False
-    presets: tuple[str, ...] = ("integrated", "peltier")
+    needs: tuple[str, ...] = ()
     fixed: tuple[str, ...] = ()
     straight: bool = False
     linear: bool = True
@@ -251,13 +257,24 @@ class Effect:
 
         return tuple(name for name in self.channels if name in preset(device).channels)
 
+    def occurs_on(self, device: str) -> bool:
+        """Return whether a device, by id, path or text, has what the effect needs."""
+        from vo2_models.device.description import preset
+
+        return not lacks(self, preset(device))
+
+    def magnitudes(self, device: str, signal: str = "") -> Mapping[str, tuple[float, float]]:
+        """Return parameter -> (low, high) of clearly visible magnitudes on a device; see `magnitude.magnitudes`."""
+        from vo2_models.device.description import preset
+
+        return magnitudes(self, preset(device), signal)
+
     def draw(self, device: str, rng: np.random.Generator) -> dict[str, float | str]:
         """Draw a clearly visible instance (values log-uniform over `typical`), with its signal where it has one."""
         signal = str(rng.choice(self.signals(device)))
-        ranges = self.typical.get(f"{device}:{signal}") or self.typical[device]
         values: dict[str, float | str] = {
             name: float(np.exp(rng.uniform(np.log(low), np.log(high))))
-            for name, (low, high) in ranges.items()
+            for name, (low, high) in self.magnitudes(device, signal).items()
         }
         return {**values, "signal": signal} if signal else values
 
@@ -304,6 +321,9 @@ class Effect:
                 raise ValueError(
                     f"{where}: parameter {p.name}: found bounds {p.lower} to {p.upper}, need lower < upper"
                 )
+        for need in self.needs:
+            if need not in NEEDS:
+                raise ValueError(f"{where}: needs: found {need!r}, need some of {', '.join(NEEDS)}")
         own = {p.name for p in self.parameters}
         for state in self.states:
             if state.settled is None and "settled" not in self.hooks:

@@ -20,12 +20,12 @@ EFFECT = Effect(
         constant_of("gain", 0, "1", "change of the steady gain that comes with it", -0.5, 0.5),
     ),
     channels=HEAT,
+    needs=("body",),
     typical={
         "integrated": {"share": (0.02, 0.08), "time_constant": (0.03, 0.3)},
         "peltier": {"share": (0.02, 0.08), "time_constant": (80.0, 250.0)},
     },
     states=(State("slow", "K", "temperature rise of the slow body"),),
-    slowest_time="time_constant",
     equation="T = T0 + (1 + gain - share) theta_1 + share theta_2; tau_2 dtheta_2/dt = k1 i + k2 i^2 - theta_2",
     excitation="steps held for several times the slow time constant",
     source=(

@@ -16,6 +16,7 @@ EFFECT = Effect(
         ),
     ),
     channels=FILM,
+    needs=("body", "resistance"),
     typical={"integrated": {"coefficient": (4e-6, 15e-6)}, "peltier": {"coefficient": (8e-6, 30e-6)}},
     order=20,
     equation="T rises by k I_s^2 R",

@@ -16,7 +16,6 @@ EFFECT = Effect(
         State("lagged", "unit", "what the sensor shows"),
         State("last", "unit", "value of the sample before"),
     ),
-    slowest_time="time_constant",
     between_samples=True,
     order=10,
     equation="tau dy/dt = y_true - y",

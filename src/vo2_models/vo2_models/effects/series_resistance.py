@@ -8,6 +8,7 @@ EFFECT = Effect(
     stage="terminals",
     parameters=(constant_of("resistance", 0, "ohm", "resistance added in series", 0, 1e6),),
     channels=(RESISTANCE,),
+    needs=("resistance",),
     typical={"integrated": {"resistance": (300.0, 1500.0)}, "peltier": {"resistance": (40.0, 200.0)}},
     order=20,
     equation="R_measured = R + r",

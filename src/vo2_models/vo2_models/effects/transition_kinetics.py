@@ -10,6 +10,7 @@ EFFECT = Effect(
     parameters=(constant_of("time_constant", 0, "s", "relaxation time of the phase fraction", 0, 1e4),),
     channels=FILM,
     typical={"integrated": {"time_constant": (0.3e-3, 2e-3)}, "peltier": {"time_constant": (1.0, 6.0)}},
+    slowest_time="time_constant",
     equation="tau_k ds/dt = s_eq[T] - s",
     excitation="crossings at more than one rate and a chirp inside and outside the transition",
     source="mismatch table of the project; section 7.2.1 takes it to be fast for an ideal film",

@@ -140,8 +140,7 @@ class Problem:
             value = float(present)  # type: ignore[arg-type]
             if low > 0.0:
                 return [Coordinate(name, True, np.log(low), np.log(high), 0.02)], [float(np.log(value))]
-            ranges = record.typical.get(f"{self.model.device}:{key.partition(':')[2]}")
-            ranges = ranges or record.typical.get(self.model.device, {})
+            ranges = record.magnitudes(self.model.device, key.partition(":")[2])
             scale = 0.1 * ranges[parameter][0] if parameter in ranges else 1e-3 * min(high - low, 1.0)
             return [Coordinate(name, False, low, high, scale)], [value]
         raise ValueError(

@@ -1,0 +1,83 @@
+"""A user's own effect file: written from the skeleton, loaded, simulated; files that are not sound are told with their place."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+from vo2_models.effects.skeleton import main, skeleton
+
+RUN = """
+import numpy as np
+from vo2_models.device import truth
+from vo2_models.effects import effects
+plain = truth("integrated", domains=50).simulate(np.full(300, 4.5e-3), noise=False)
+own = {"slow_anchor": {"share": 0.05, "time_constant": 0.1}}
+with_it = truth("integrated", domains=50, effects=own).simulate(np.full(300, 4.5e-3), noise=False)
+rise = plain["true_temperature"] - 22.0
+print(*((with_it["true_temperature"] - 22.0) / rise)[[20, -1]])
+"""
+
+
+def run(folder, code=RUN):
+    environment = {
+        **os.environ,
+        "VO2_EFFECTS": str(folder),
+        "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+    }
+    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+
+
+def test_the_skeleton_acts_and_an_edit_of_its_hook_is_seen(tmp_path):
+    assert main(["slow_anchor", "--output", str(tmp_path)]) == 0
+    shown = run(tmp_path)
+    assert shown.returncode == 0, shown.stderr
+    early, late = map(float, shown.stdout.split())
+    assert early == pytest.approx(0.95 + 0.05 * (1 - pow(2.718281828, -0.21)), abs=2e-3)
+    assert late == pytest.approx(1.0 - 0.05 * pow(2.718281828, -3.0), abs=2e-3)
+    file = tmp_path / "slow_anchor.py"
+    file.write_text(
+        file.read_text().replace("return -share, share * late", "return 0.0 * share, share * late")
+    )
+    assert float(run(tmp_path).stdout.split()[1]) == pytest.approx(late + 0.05, abs=1e-9)
+
+
+def test_the_skeleton_is_not_written_over_anything(tmp_path, capsys):
+    (tmp_path / "mine.py").write_text("kept")
+    assert main(["mine", "--output", str(tmp_path)]) == 2
+    assert (tmp_path / "mine.py").read_text() == "kept"
+    assert main(["Not-A-Name", "--output", str(tmp_path)]) == 2
+    first, second = capsys.readouterr().err.splitlines()
+    assert "mine.py: is there already" in first
+    assert "found 'Not-A-Name', need small letters" in second
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("def body(", "def bodies("), "found no hook, need a function named one of drive"),
+        (("def settled(drive):", "def rests(drive):"), "state late: found no settled value"),
+        (("def advance(", "def moves("), "found states but no hook advance"),
+        (('"1", "part of', '"", "part of'), "parameter share: found no unit"),
+        (("-0.5, 0.5", "0.5, -0.5"), "parameter share: found bounds 0.5 to -0.5"),
+        (("def body(late, share)", "def body(late, share, wind)"), "hook body: found the argument 'wind'"),
+        (('stage="thermal"', 'stage="weather"'), "stage: found 'weather'"),
+        (('needs=("body",)', 'needs=("luck",)'), "needs: found 'luck'"),
+        (('id="slow_anchor"', 'id="other"'), "found id 'other', need the file's name"),
+        (("EFFECT = Effect(", "EFFECTS = Effect("), "EFFECT: found NoneType"),
+        (("import math", "import no_such_module"), "cannot be imported (ModuleNotFoundError"),
+        (("slow_anchor", "creep"), "found the id 'creep' twice"),
+    ],
+)
+def test_a_file_that_is_not_sound_is_told_with_its_place(tmp_path, change, said):
+    text = skeleton("slow_anchor").replace(*change)
+    name = "creep.py" if change[1] == "creep" else "slow_anchor.py"
+    (tmp_path / name).write_text(text)
+    code = "from vo2_models.effects import effects\ntry:\n    effects()\nexcept ValueError as error:\n    print(error)"
+    shown = run(tmp_path, code).stdout
+    assert str(tmp_path / name) in shown and said in shown
+
+
+def test_a_folder_that_is_not_there_is_told(tmp_path):
+    code = "from vo2_models.effects import effects\ntry:\n    effects()\nexcept ValueError as error:\n    print(error)"
+    assert "found no such folder" in run(tmp_path / "nowhere", code).stdout

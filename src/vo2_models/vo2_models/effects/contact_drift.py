@@ -1,0 +1,26 @@
+"""A contact gets worse, or better, while it is measured."""
+
+from vo2_models.effects.record import Effect, constant_of
+from vo2_models.recording import RESISTANCE
+
+EFFECT = Effect(
+    id="contact_drift",
+    stage="terminals",
+    parameters=(constant_of("rate", 0, "ohm/s", "growth of the resistance in series", -1e5, 1e5),),
+    channels=(RESISTANCE,),
+    straight=True,
+    order=25,
+    needs=("resistance",),
+    typical={"integrated": {"rate": (40.0, 200.0)}, "peltier": {"rate": (0.05, 0.3)}},
+    equation="R_measured = R + rate t",
+    excitation="the metallic plateau at the start and at the end of the recording",
+    source="any text on two-terminal measurement",
+    statement=(
+        "A probe creeps, a pad oxidises: what is in series with the film grows with the time. On the metallic plateau it "
+        "shows, beside the insulating resistance it is lost; a drifting gain would change both by the same share."
+    ),
+)
+
+
+def terminals(value, time, rate):
+    return value + rate * time
