@@ -11,7 +11,7 @@ setup(
     name=NAME,
     version=PACKAGE.findtext("version"),
     packages=find_packages(exclude=["test"]),
-    package_data={NAME: ["py.typed", "**/*.yaml", "**/*.css", "**/*.xml"]},
+    package_data={NAME: ["py.typed", "**/*.yaml", "**/*.html", "**/*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml", "CHANGELOG.rst", "LICENSE"]),
@@ -26,4 +26,5 @@ setup(
     license=PACKAGE.findtext("license"),
     # newer setuptools drops tests_require, and colcon would then silently run no test
     extras_require={"test": ["pytest"]},
+    entry_points={"console_scripts": ["live = vo2_interface.live.node:main"]},
 )

@@ -1,0 +1,24 @@
+"""The live page of a running loop; `namespace` and `preset` are the loop's."""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the launch description."""
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("namespace", default_value="/vo2", description="Namespace of the loop."),
+            DeclareLaunchArgument("preset", default_value="integrated", description="Device of the loop."),
+            DeclareLaunchArgument("port", default_value="8765", description="Port on 127.0.0.1, 0 for any."),
+            Node(
+                package="vo2_interface",
+                executable="live",
+                namespace=LaunchConfiguration("namespace"),
+                parameters=[{"preset": LaunchConfiguration("preset"), "port": LaunchConfiguration("port")}],
+                output="screen",
+            ),
+        ]
+    )

@@ -1,0 +1,1 @@
+"""A browser page of the running graph, served on this host."""

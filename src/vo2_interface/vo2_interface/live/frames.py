@@ -1,0 +1,76 @@
+"""What the page is sent: the samples since the last frame, joined by their stamps."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+from collections import deque
+
+__all__ = ["CHANNELS", "Frames"]
+
+CHANNELS = ("current", "resistance", "measured", "estimate", "bound", "reference")
+"""Columns of a sample behind its time, as the page takes them: A, ohm, then m."""
+_NAN = float("nan")
+_KEPT = 6000
+"""Samples kept for a page that is slow or has just been opened."""
+
+
+class Frames:
+    """Samples of three topics joined by stamp; one writer (the node), any number of readers (open pages).
+
+    A sample is complete once a later measurement comes: estimate and reference of a stamp follow its measurement.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._open: dict[int, list[float]] = {}
+        self._done: deque[list[float]] = deque(maxlen=_KEPT)
+        self._count = 0
+        self._reference = _NAN
+        self.stopped = False
+
+    def measured(self, stamp_ns: int, current: float, resistance: float, deflection: float) -> None:
+        """Take a measurement [A, ohm, m] at a stamp [ns]; what was measured before it is complete."""
+        with self._lock:
+            if stamp_ns in self._open:
+                return
+            for row in self._open.values():
+                self._done.append(row)
+                self._count += 1
+            row = [stamp_ns * 1e-9, current, resistance, deflection, _NAN, _NAN, self._reference]
+            self._open = {stamp_ns: row}
+
+    def estimated(self, stamp_ns: int, deflection: float, bound: float) -> None:
+        """Take an estimate and its bound [m]; one that comes too late for its sample is left out."""
+        with self._lock:
+            if stamp_ns in self._open:
+                self._open[stamp_ns][4:6] = deflection, bound
+
+    def referred(self, stamp_ns: int, deflection: float) -> None:
+        """Take a set-point [m] for the sample of a stamp, which holds until the next."""
+        with self._lock:
+            self._reference = deflection
+            if stamp_ns in self._open:
+                self._open[stamp_ns][6] = deflection
+
+    def since(self, count: int) -> tuple[int, str]:
+        """Return how many samples there have been, and those behind the first `count` as a line of JSON.
+
+        Parameters
+        ----------
+        count : of samples that the page has already; 0 for a new one
+        """
+        with self._lock:
+            new = min(self._count - count, len(self._done)) if count else min(len(self._done), 1)
+            rows = [self._done[k] for k in range(len(self._done) - new, len(self._done))]
+            total, stopped = self._count, self.stopped
+        plain = [[_rounded(value) for value in row] for row in rows]
+        return total, json.dumps({"rows": plain, "stopped": stopped}, separators=(",", ":"))
+
+
+def _rounded(value: float) -> float | None:
+    """Six figures are more than a screen shows; JSON has no NaN. Times need more, and are below 1e10."""
+    if not math.isfinite(value):
+        return None
+    return round(value, 6) if abs(value) > 1e6 else float(f"{value:.9g}")

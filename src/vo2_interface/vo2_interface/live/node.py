@@ -1,0 +1,115 @@
+"""Serve a page of the running loop on this host: the cantilever to scale, the loop, traces, stop and release.
+
+Open the printed address in a browser. The page shows what the topics carry; it commands nothing but the emergency stop.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+
+from rclpy.node import Node
+from std_msgs.msg import Bool
+from vo2_models.device.description import DeviceParameter, preset
+from vo2_models.parameters import Parameter
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION
+
+from vo2_interface.diagnostics import Diagnostics
+from vo2_interface.executable import run_nodes
+from vo2_interface.inputs import SampleInput
+from vo2_interface.live.frames import Frames
+from vo2_interface.live.server import LiveServer
+from vo2_interface.parameters import ParameterTable
+from vo2_interface.samples import SampleReader
+from vo2_interface.topics import (
+    DEFAULT_NAMESPACE,
+    EMERGENCY_STOP,
+    EMERGENCY_STOP_QOS,
+    ESTIMATE,
+    MEASUREMENT,
+    REFERENCE,
+)
+
+__all__ = ["LIVE_PARAMETERS", "LiveNode", "main"]
+
+LIVE_PARAMETERS = (
+    DeviceParameter("preset", "integrated", "", "Device: a preset, or the path of a device file."),
+    Parameter(
+        "port", 8765, "", "Port of the page on 127.0.0.1; 0 for any that is free.", 0, 65535, kind="int"
+    ),
+)
+
+
+class LiveNode(Node):
+    """Samples in, a page out."""
+
+    def __init__(self) -> None:
+        super().__init__("live", namespace=DEFAULT_NAMESPACE)
+        table = ParameterTable(self, LIVE_PARAMETERS, read_only=("preset", "port"))
+        device = preset(table.text("preset"))
+        self._diagnostics = Diagnostics(self)
+        self._frames = Frames()
+        names = device.names
+        self._measurement = SampleReader(
+            [names.get(role, role) for role in (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)]
+        )
+        tip = names.get(TIP_DEFLECTION, TIP_DEFLECTION)
+        self._estimate = SampleReader([tip, f"{tip}_bound"])
+        self._reference = SampleReader([tip])
+        SampleInput(self, MEASUREMENT, self._on_measurement, self._diagnostics)
+        SampleInput(self, ESTIMATE, self._on_estimate, self._diagnostics)
+        SampleInput(self, REFERENCE, self._on_reference, self._diagnostics, latched=True, steady=False)
+        self._stop = self.create_publisher(Bool, EMERGENCY_STOP, EMERGENCY_STOP_QOS)
+        self.create_subscription(Bool, EMERGENCY_STOP, self._on_stop, EMERGENCY_STOP_QOS)
+        port = int(table.number("port"))
+        told = {
+            "id": device.id,
+            "length_m": device.length if math.isfinite(device.length) else None,
+            "deflection_m": (0.0, device.deflection_range),
+            "resistance_ohm": device.resistance_range,
+        }
+        try:
+            self._server = LiveServer(self._frames, told, self._on_button, port)
+        except OSError as error:
+            raise ValueError(
+                f"port: found {port}, which is not free ({error.strerror}); need another, or 0"
+            ) from error
+        self.port = self._server.port
+        self.get_logger().info(f"open http://127.0.0.1:{self.port}/ in a browser on this host")
+
+    def _on_measurement(self, data: bytes) -> None:
+        stamp_ns, values = self._measurement.read(data)
+        self._frames.measured(stamp_ns, *values)
+
+    def _on_estimate(self, data: bytes) -> None:
+        stamp_ns, values = self._estimate.read(data)
+        self._frames.estimated(stamp_ns, *values)
+
+    def _on_reference(self, data: bytes) -> None:
+        stamp_ns, values = self._reference.read(data)
+        self._frames.referred(stamp_ns, *values)
+
+    def _on_stop(self, message: Bool) -> None:
+        self._frames.stopped = message.data
+
+    def _on_button(self, stop: bool) -> None:
+        self._stop.publish(Bool(data=stop))
+
+    def close(self) -> None:
+        """End the page."""
+        self._server.close()
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM; return the exit status.
+
+    Parameters
+    ----------
+    args : command line, None for that of the process
+    """
+    return run_nodes(LiveNode, args=args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
