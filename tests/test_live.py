@@ -137,7 +137,7 @@ def browser():
     try:
         port = next(
             int(line.rsplit(" ", 1)[1].rstrip(".\n"))
-            for line in process.stdout
+            for line in process.stdout or ()
             if "successfully on port" in line
         )
         found = Browser(port)

@@ -17,6 +17,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -170,9 +171,9 @@ def tune_pid(
                 f"max_sensitivity: found that no gain keeps Ms below {max_sensitivity:g}; allow more, or sample faster"
             )
         grids = [_closer(grid, float(value)) for grid, value in zip(grids, chosen, strict=True)]
-    assert best is not None  # the first round raises otherwise
-    law = pid_law(best, period)
-    return TunedPid(best, max((loop_margins(law, c) for c in corners), key=lambda m: m.sensitivity_peak))
+    found = cast(PidGains, best)  # the first round raises otherwise
+    law = pid_law(found, period)
+    return TunedPid(found, max((loop_margins(law, c) for c in corners), key=lambda m: m.sensitivity_peak))
 
 
 def _closer(grid: NDArray[np.float64], value: float) -> NDArray[np.float64]:

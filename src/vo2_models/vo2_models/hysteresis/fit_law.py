@@ -174,13 +174,14 @@ def _rms(residual: Floats) -> float:
 def _preisach(u: Floats, y: Floats, label: NDArray[np.int64], measured: Booleans) -> tuple[Law, Floats]:
     """Smooth densities on the level, with the strength and sign, that predict parts left out best."""
     label = label if np.unique(label[measured]).size >= 5 else np.arange(u.size) * 50 // u.size
-    best = None
-    for level in LEVELS:
-        walls = np.linspace(u.min(), u.max(), level + 1)
-        fit = fit_smooth(u, y, walls, nonnegative=None, groups=label, measured=measured, strengths=STRENGTHS)
-        if best is None or fit.held_out_rmse.min() < best.held_out_rmse.min():
-            best = fit
-    assert best is not None
+    fits = (
+        fit_smooth(
+            u, y, np.linspace(u.min(), u.max(), level + 1),
+            nonnegative=None, groups=label, measured=measured, strengths=STRENGTHS,
+        )
+        for level in LEVELS
+    )  # fmt: skip
+    best = min(fits, key=lambda fit: fit.held_out_rmse.min())
     return best.operator, best.operator.initial_memory()
 
 

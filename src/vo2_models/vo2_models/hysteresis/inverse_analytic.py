@@ -9,6 +9,7 @@ stays. The smallest radius need not be zero: gamma_R - r_0 and gamma_L + r_0 wit
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -119,8 +120,7 @@ class AnalyticInverse:
         memory = self.model._checked_state(state, None)[0]
         if not np.all(np.isfinite(memory)):
             raise ValueError("state: found infinite values, need a finite input to start from")
-        assert self.input_range is not None
-        low, high = self.input_range
+        low, high = cast("tuple[float, float]", self.input_range)  # set at the start
         shift = float(self.model.radii[0])
         start = np.concatenate([memory[1:2], memory[1:]])
         inner, _ = inverse_cpi(self.classical).simulate(wishes, inverse_cpi_state(self.classical, start))

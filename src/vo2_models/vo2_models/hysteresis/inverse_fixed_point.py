@@ -6,7 +6,7 @@ Kept for comparison: `RobustInverse` needs no condition and fewer evaluations.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -111,16 +111,15 @@ class FixedPointInverse:
         inverse = RobustInverse(part)
         object.__setattr__(self, "hysteresis", inverse)
         object.__setattr__(self, "input_range", inverse.input_range)
-        assert inverse.input_range is not None
-        object.__setattr__(self, "condition", convergence_condition(model, inverse.input_range))
+        given = cast("tuple[float, float]", inverse.input_range)  # the inverse has taken the model's
+        object.__setattr__(self, "condition", convergence_condition(model, given))
 
     def simulate(self, output: ArrayLike, state: FloatArray | None = None) -> FixedPointBatch:
         """Invert wanted outputs (n,) from the model's memory `state` (1 + N,), lower saturation if None."""
         wishes = finite_array(output, "output")
         start = self.model.initial_state() if state is None else state
         memory = self.model._checked_state(start, None)[0]
-        assert self.input_range is not None
-        low, high = self.input_range
+        low, high = cast("tuple[float, float]", self.input_range)  # set at the start
         if not low <= memory[0] <= high:
             egpi_step(min(max(memory[0], low), high), self.model.packed, memory)
         inputs, outputs = np.empty_like(wishes), np.empty_like(wishes)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,8 +105,7 @@ class CompositeSelfSensing(SelfSensing):
     @property
     def temperature_range(self) -> tuple[float, float]:
         """Temperatures [degC] the inverse searches."""
-        assert self._inverse.input_range is not None
-        return self._inverse.input_range
+        return cast("tuple[float, float]", self._inverse.input_range)  # the inverse has taken the model's
 
     def initial_state(self) -> Floats:
         low = self.temperature_range[0]
