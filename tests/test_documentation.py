@@ -15,9 +15,14 @@ WITH_EXAMPLES = [page for page in PAGES if BLOCK.search(page.read_text(encoding=
 
 
 def test_tutorials_have_examples():
-    assert {"fit_your_rig.md", "your_bags.md", "read_a_diagnosis.md", "add_a_law.md", "index.md"} <= {
-        p.name for p in WITH_EXAMPLES
-    }
+    assert {
+        "fit_your_rig.md",
+        "your_bags.md",
+        "read_a_diagnosis.md",
+        "add_a_law.md",
+        "add_an_effect.md",
+        "index.md",
+    } <= {p.name for p in WITH_EXAMPLES}
 
 
 @pytest.mark.parametrize("page", WITH_EXAMPLES, ids=lambda page: page.name)
