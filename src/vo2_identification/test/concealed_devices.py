@@ -35,15 +35,19 @@ def concealed(
     return measured(replace(concealing, coefficients=c).simulate(current, seed=seed + 100))
 
 
-@cache
-def calibrated(device_seed=SEED, device=DEVICE, read=measured):
-    """Model fitted, once a session, to smaller and smaller loops at one rate, on which a lag and a wider loop look the same."""
+def calibration(device_seed=SEED, device=DEVICE, effects=None) -> Recording:
+    """Smaller and smaller loops at one rate, on which a lag and a wider loop look the same."""
     nominal = preset(device)
     low, high = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
     levels = damped_oscillation(np.linspace(low, high, 31), reversals_only=True)
     rate = float(np.sum(np.abs(np.diff(levels)))) / (12_000 * nominal.sample_period)
     sweep = Excitation.at_rate(levels, rate_per_s=rate).sample(nominal.sample_period)
     current = surrogate_of_temperature(device, sweep)
-    calibration = truth(device, seed=device_seed).simulate(current, seed=1)
-    _, found = fit_model([read(calibration)], device, plays=12)
+    return truth(device, seed=device_seed, effects=effects or {}).simulate(current, seed=1)
+
+
+@cache
+def calibrated(device_seed=SEED, device=DEVICE, read=measured):
+    """Model fitted to the calibration, once a session."""
+    _, found = fit_model([read(calibration(device_seed, device))], device, plays=12)
     return found

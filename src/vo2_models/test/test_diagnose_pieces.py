@@ -1,6 +1,7 @@
 """Pieces of the diagnosis: file format, noise, data check, comb detection, excitations."""
 
 import copy
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from scipy.signal import lfilter
 from vo2_models.device import DeviceModel, preset
 from vo2_models.diagnosis.breakdown import one_loop, turning_points
 from vo2_models.diagnosis.check import Unusable, check_recording
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.next_experiment import library
 from vo2_models.diagnosis.noise import NoiseModel, fit_noise, level_from_differences
 from vo2_models.diagnosis.nominal import Nominal
@@ -155,6 +157,15 @@ def test_what_is_unusable_is_refused_with_the_reason() -> None:
             tip_deflection=np.full(2000, 1e-5),
         ),
         "need at least 500": recording().slice(0, 300),
+        "film_resistance is a copy of heater_current": recording(
+            film_resistance=1e6 * recording()["heater_current"]
+        ),
+        "tip_deflection is a copy of film_resistance": recording(
+            tip_deflection=1e-9 * recording()["film_resistance"]
+        ),
+        "are swapped": recording(
+            film_resistance=recording()["tip_deflection"], tip_deflection=recording()["film_resistance"]
+        ),
     }
     for words, bad in cases.items():
         with pytest.raises(Unusable, match=words):
@@ -205,6 +216,12 @@ def test_another_rate_or_smaller_loops_are_more_than_one() -> None:
     assert not one_loop([np.concatenate([slow, fast])], [1e-3])
     fan = [np.linspace(a, b, 100) for turn in (45, 50, 55, 60) for a, b in ((80, turn), (turn, 80))]
     assert not one_loop([np.concatenate([slow, np.linspace(25, 80, 500), *fan])], [1e-3])
+
+
+def test_every_limit_has_a_provenance_and_stands_in_the_record() -> None:
+    said = Limits().with_provenance()
+    assert set(said) == {each.name for each in fields(Limits)}
+    assert all(np.isfinite(limit["value"]) and len(str(limit["provenance"])) > 20 for limit in said.values())
 
 
 def test_probabilities_order_rivals_and_sum_to_one() -> None:

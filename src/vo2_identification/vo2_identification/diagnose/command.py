@@ -35,6 +35,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--model", required=True, metavar="MODEL.yaml", help="what `fit` wrote for this device"
     )
+    parser.add_argument(
+        "--calibration",
+        action="append",
+        default=[],
+        metavar="BAG",
+        help="a recording that the model was fitted to, where what is looked for may have been there already: nominal "
+        "device and effect are fitted together over all bags; may be repeated",
+    )
     parser.add_argument("--output", required=True, metavar="DIR", help="where the results go")
     parser.add_argument(
         "--next",
@@ -75,7 +83,9 @@ def _run(options: argparse.Namespace) -> int:
         Nominal.from_parameters(parameters)
     except ValueError as error:
         raise ValueError(f"{options.model}: {error}; fit again") from error
-    diagnosis = diagnose_bags(options.bag, parameters, output, quiet=options.quiet)
+    diagnosis = diagnose_bags(
+        options.bag, parameters, output, calibration=options.calibration, quiet=options.quiet
+    )
     if not options.next:
         return 0
     return continue_with_next(
@@ -83,15 +93,29 @@ def _run(options: argparse.Namespace) -> int:
         options.bag,
         parameters,
         output,
+        calibration=options.calibration,
         namespace=options.namespace,
         quiet=options.quiet,
     )
 
 
 def diagnose_bags(
-    bags: Sequence[str | Path], parameters: Mapping[str, Value], output: Path, *, quiet: bool = False
+    bags: Sequence[str | Path],
+    parameters: Mapping[str, Value],
+    output: Path,
+    *,
+    calibration: Sequence[str | Path] = (),
+    quiet: bool = False,
 ) -> Diagnosis:
     """Diagnose bags together, write the results into `output`, print the summary, and return the diagnosis.
+
+    Parameters
+    ----------
+    bags : recordings
+    parameters : of the model
+    output : folder for the results
+    calibration : bags that the model was fitted to, where what is looked for may have been there already
+    quiet : no progress
 
     Raises
     ------
@@ -99,7 +123,6 @@ def diagnose_bags(
     """
     from vo2_models.device.model import DeviceModel
     from vo2_models.diagnosis.pipeline import study
-    from vo2_models.recording import aligned
 
     from vo2_identification.bags import read_recording
     from vo2_identification.bags.problems import in_few_lines
@@ -109,13 +132,21 @@ def diagnose_bags(
     began = time.perf_counter()
     model = DeviceModel.from_parameters(parameters)
     recordings, problems = [], []
-    for bag in bags:
+    every = [*calibration, *bags]
+    for bag in every:
         recording, found = read_recording(bag, device=model.description)
-        recordings.append(aligned(recording, model.command_delay))
+        recordings.append(recording)
         problems += [f"{bag}: {problem}" for problem in in_few_lines(found)]
     with _Progress(quiet=quiet) as progress, ThreadPoolExecutor(1) as beside:
         files = beside.submit(import_module, "vo2_models.diagnosis.files")  # what draws takes a while to load
-        result = study(recordings, parameters, progress=progress, names=[str(bag) for bag in bags])
+        known = len(calibration)
+        result = study(
+            recordings[known:],
+            parameters,
+            calibration=recordings[:known],
+            progress=progress,
+            names=[str(bag) for bag in every],
+        )
         spent = time.perf_counter() - began
         diagnosis: Diagnosis = files.result().write_results(result, output, problems=problems, seconds=spent)
     outputs.remember()
@@ -148,6 +179,7 @@ def continue_with_next(
     parameters: Mapping[str, Value],
     output: Path,
     *,
+    calibration: Sequence[str | Path] = (),
     namespace: str = "/vo2",
     quiet: bool = False,
 ) -> int:
@@ -188,7 +220,7 @@ def continue_with_next(
         print(f"diagnose: interrupted; the device is at the safe current, {kept}", file=sys.stderr)
         return 130
     print(f"recorded: {bag}", flush=True)
-    diagnose_bags([*bags, bag], parameters, output / "with_next", quiet=quiet)
+    diagnose_bags([*bags, bag], parameters, output / "with_next", calibration=calibration, quiet=quiet)
     return 0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +13,15 @@ from vo2_models.device import PRESETS, preset
 from vo2_models.diagnosis.noise import level_from_differences
 from vo2_models.diagnosis.nominal import Nominal, judged
 from vo2_models.identification.plausibility import impossible, unusual
-from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
+from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 __all__ = ["Finding", "Unusable", "check_recording"]
 
 Floats = NDArray[np.float64]
+COPIED = 1e-6
+"""Relative spread of the ratio of two channels up to which one is a copy of the other: rounding."""
+FAR = 100.0
+"""Factor between the largest value of a channel and that of the device, either way, within which it can be this one."""
 SHORTEST = 500
 """Fewest samples of a recording that can be judged."""
 
@@ -52,6 +57,8 @@ def check_recording(recording: Recording, nominal: Nominal, *, name: str = "reco
         raise Unusable(
             f"{name}: found channels {', '.join(recording.channels) or 'none'}, need heater_current"
         )
+    if told := _mixed_up(recording, nominal):
+        raise Unusable(f"{name}: {told}")
     if wrong := impossible(recording, nominal.device):
         raise Unusable(f"{name}: {'; '.join(wrong)}")
     odd = unusual(recording, nominal.device)
@@ -77,6 +84,28 @@ def check_recording(recording: Recording, nominal: Nominal, *, name: str = "reco
         )
         raise Unusable(f"{name}: neither film_resistance nor tip_deflection can be used: {reasons}")
     return findings
+
+
+def _mixed_up(recording: Recording, nominal: Nominal) -> str:
+    """What says that two channels are one, or each other's; empty for nothing."""
+    device = preset(nominal.device)
+    drive = COMMANDED_CURRENT if COMMANDED_CURRENT in recording else HEATER_CURRENT
+    present = [c for c in (drive, RESISTANCE, TIP_DEFLECTION) if c in recording]
+    for first, second in combinations(present, 2):
+        x, y = recording[first], recording[second]
+        both = np.isfinite(x) & np.isfinite(y) & (x != 0.0)
+        if np.count_nonzero(both) > 2 and np.ptp(x[both]) > 0.0:
+            ratio = y[both] / x[both]
+            if np.ptp(ratio) <= COPIED * float(np.max(np.abs(ratio))):
+                return f"{second} is a copy of {first}, times {ratio[0]:.4g}: need what each sensor measured"
+    ends = {RESISTANCE: device.resistance_range[1], TIP_DEFLECTION: max(map(abs, device.deflection_extent))}
+    if all(c in recording and np.isfinite(recording[c]).any() for c in ends):
+        largest = {c: float(np.nanmax(np.abs(recording[c]))) for c in ends}
+        crossed = (largest[RESISTANCE] / ends[TIP_DEFLECTION], largest[TIP_DEFLECTION] / ends[RESISTANCE])
+        distinct = ends[RESISTANCE] > FAR**2 * ends[TIP_DEFLECTION]
+        if distinct and all(1.0 / FAR < ratio < FAR for ratio in crossed):
+            return f"{RESISTANCE} and {TIP_DEFLECTION} are swapped: each has the values of the other"
+    return ""
 
 
 def _clock(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:

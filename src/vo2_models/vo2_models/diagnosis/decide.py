@@ -13,7 +13,7 @@ from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.breakdown import Breakdown, breakdown
 from vo2_models.diagnosis.drift import Drift, drift_of
 from vo2_models.diagnosis.explain import Explanation, Score, score
-from vo2_models.diagnosis.held_out import HeldOut, block_folds, held_out
+from vo2_models.diagnosis.held_out import HeldOut, block_folds, held_out, recording_folds
 from vo2_models.diagnosis.hypotheses import Hypothesis
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import Located
@@ -25,12 +25,14 @@ from vo2_models.diagnosis.nonparametric_correction import (
 from vo2_models.diagnosis.pairs import Option, bend, trace
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.progress import Clock
+from vo2_models.diagnosis.read import Reading
 from vo2_models.diagnosis.result import NextExperiment
 from vo2_models.diagnosis.search import Search, completeness
 
 __all__ = ["Decision", "decide"]
 
 Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -77,28 +79,29 @@ class _Verdict:
     remaining: float
 
 
-def decide(located: Located, found: Search, limits: Limits, clock: Clock, *, one_loop: bool) -> Decision:
+def decide(located: Located, found: Search, reading: Reading, limits: Limits, clock: Clock) -> Decision:
     """Judge the options on held-out blocks; name the first that is adequate, else describe what has no name."""
     clock.say("judging on held-out blocks")
-    verdict = _judged(located, found, limits, clock)
+    folds = recording_folds(located.problem, reading.calibrations) or block_folds(located.problem)
+    verdict = _judged(located, found, folds, limits, clock)
     if verdict.option is not None:
-        return _named(located, found, verdict, verdict.option, limits, clock, one_loop=one_loop)
-    return _unnamed(located, found, verdict, limits, clock)
+        return _named(located, found, verdict, verdict.option, limits, clock, one_loop=reading.one_loop)
+    return _unnamed(located, found, verdict, folds, limits, clock, first_use=reading.first_use)
 
 
-def _judged(located: Located, found: Search, limits: Limits, clock: Clock) -> _Verdict:
+def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limits, clock: Clock) -> _Verdict:
     """The first admissible option, with its held-out quality."""
     problem = located.problem
     rivals, remaining = found.singles, located.total_excess
     for option in found.options:
-        judged = held_out(option.final, option.chosen, reference=problem, tick=clock.tick)
+        judged = held_out(option.final, option.chosen, reference=problem, folds=folds, tick=clock.tick)
         shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
-        admissible = _is_admissible(option, judged, found.singles, problem, limits)
+        admissible = _is_admissible(option, judged, problem, limits)
         rivals, remaining = option.rivals, option.remaining
         hidden = admissible and found.hidden
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
             return _Verdict(option, judged, rivals, remaining)
-    return _Verdict(None, held_out(problem, None), rivals, remaining)
+    return _Verdict(None, held_out(problem, None, folds=folds), rivals, remaining)
 
 
 def _named(
@@ -135,7 +138,16 @@ def _named(
     )  # fmt: skip
 
 
-def _unnamed(located: Located, found: Search, verdict: _Verdict, limits: Limits, clock: Clock) -> Decision:
+def _unnamed(
+    located: Located,
+    found: Search,
+    verdict: _Verdict,
+    folds: Sequence[Mask],
+    limits: Limits,
+    clock: Clock,
+    *,
+    first_use: bool,
+) -> Decision:
     """No name: agreement, moved constants, or an excess that only a correction without a name describes."""
     problem, unnamed = located.problem, None
     loud = located.total_excess > limits.excess or max(located.excess.values()) > limits.channel_excess
@@ -149,7 +161,7 @@ def _unnamed(located: Located, found: Search, verdict: _Verdict, limits: Limits,
     if unnamed is None or (unnamed.share < limits.share and located.total_excess < limits.plain):
         # more residual than noise at most, and nothing in it that predicts anything
         unnamed, verdict_word = None, "agrees"
-        if drift.significant(limits.drift_p):
+        if drift.significant(limits.drift_p) and not first_use:
             verdict_word = "drifted"
             mimics = _mimics_of_constants(found.scores, limits, found.singles)
             where = tuple(breakdown(problem, problem.nuisance.thermal @ drift.weights, floor=0.0))
@@ -173,21 +185,13 @@ def _mimics_of_constants(
     return tuple(h for gain, h in gains.values() if gain > max(0.5 * best, limits.faint))[:4]
 
 
-def _is_admissible(
-    option: Option,
-    judged: HeldOut,
-    singles: Sequence[Explanation],
-    problem: LinearisedProblem,
-    limits: Limits,
-) -> bool:
+def _is_admissible(option: Option, judged: HeldOut, problem: LinearisedProblem, limits: Limits) -> bool:
     """Whether an explanation is significant, stable, complete, inside its physical bounds, and harms no channel."""
     chosen = option.chosen
-    alone = len(chosen.keys) == 1 and not _dominates(chosen, singles, limits)
-    needed = limits.complete_rivalled if alone else limits.complete
     return (
         _significant(chosen, limits)
         and judged.stable
-        and completeness(chosen, option.remaining, problem, limits) >= needed
+        and completeness(chosen, option.remaining, problem, limits) >= limits.complete
         and not chosen.at_bound
         and not _worsens(option, judged)
         and not _bends(option, limits)
@@ -205,14 +209,6 @@ def _bends(option: Option, limits: Limits) -> bool:
     """Whether what is named as straight in time leaves a bend that would count as a second effect."""
     leftover = option.final.count * max(option.remaining, 0.0)
     return bend(option) > max(limits.gain, limits.second * leftover)
-
-
-def _dominates(chosen: Explanation, singles: Sequence[Explanation], limits: Limits) -> bool:
-    """Whether no other effect alone comes near the one that is chosen."""
-    own = chosen.hypotheses[0].record.id
-    alone = max((e.gain for e in singles if e.hypotheses[0].record.id == own), default=chosen.gain)
-    others = [e.gain for e in singles if e.hypotheses[0].record.id != own]
-    return max(others, default=0.0) < limits.dominated * alone
 
 
 def _stands_for_constants(option: Option, singles: Sequence[Explanation], limits: Limits) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from vo2_models.diagnosis.explain import Explanation, fit_jointly
 from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.problem import LinearisedProblem
 
-__all__ = ["HeldOut", "block_folds", "held_out"]
+__all__ = ["HeldOut", "block_folds", "held_out", "recording_folds"]
 
 Floats = NDArray[np.float64]
 
@@ -45,6 +46,28 @@ def block_folds(problem: LinearisedProblem, *, blocks: int = 20) -> list[NDArray
         place = np.arange(part.size) * blocks // part.size
         odd[row.where] = place % 2 == 1
     return [odd, ~odd]
+
+
+def recording_folds(problem: LinearisedProblem, calibrations: int) -> list[NDArray[np.bool_]]:
+    """Folds of whole recordings, each (N,) True where held out: every one in turn but the calibrations.
+
+    None where a single recording is left: what is fast or large in it, nothing else has shown.
+
+    Parameters
+    ----------
+    problem : over calibrations and recordings
+    calibrations : number of the first recordings, which stay; 0 for no such folds
+    """
+    others = range(calibrations, len(problem.parts))
+    if not calibrations or len(others) < 2:
+        return []
+    folds = []
+    for index in others:
+        held = np.zeros(problem.weight.size, dtype=bool)
+        for row in problem.rows:
+            held[row.where] = row.part == index
+        folds.append(held)
+    return folds
 
 
 def held_out(
@@ -136,9 +159,16 @@ def _stable(
     explanation: Explanation | None,
     estimates: Sequence[Sequence[dict[str, float]]],
 ) -> bool:
-    """Whether both folds find that every effect does the same, within a factor of two and a half in size."""
-    if explanation is None or len(estimates) < 2:
-        return True
+    """Whether any two folds find that every effect does the same, within a factor of two and a half in size."""
+    return explanation is None or all(
+        _same(problem, explanation, *both) for both in combinations(estimates, 2)
+    )
+
+
+def _same(
+    problem: LinearisedProblem, explanation: Explanation, *estimates: Sequence[dict[str, float]]
+) -> bool:
+    """Whether two estimates of an explanation do the same."""
     plain = replace(problem, included={})
     for index, hypothesis in enumerate(explanation.hypotheses):
         fitted = [n for n in explanation.values[index] if n not in hypothesis.choices]

@@ -47,9 +47,11 @@ class Located:
 def locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
     """Build the problem, refit its nuisance parameters, and split what is left along every axis."""
     nominal = reading.nominal
-    problem = linearise_problem(nominal, reading.parts, shapes=reading.shapes, say=clock.say)
+    problem = linearise_problem(
+        nominal, reading.parts, constants=reading.constants, shapes=reading.shapes, say=clock.say
+    )
     problem = _relinearise_constants(nominal, problem, clock)
-    nominal, problem = _refine_noise_model(nominal, problem, limits, clock)
+    nominal, problem = _refine_noise_model(nominal, problem, reading, limits, clock)
     problem = _relinearise_constants(nominal, problem, clock)
     remaining = problem.apply_inverse_covariance(problem.residual)
     excess, total = _excess(problem, remaining, problem.residual_chi_square)
@@ -65,7 +67,13 @@ def _relinearise_constants(
         if problem.curved(shift - problem.origin) < 0.7:
             break
         moved = linearise_problem(
-            nominal, problem.parts, shift=shift, shapes=problem.shapes, loops=problem.loops, say=clock.say
+            nominal,
+            problem.parts,
+            constants=problem.constants,
+            shift=shift,
+            shapes=problem.shapes,
+            loops=problem.loops,
+            say=clock.say,
         )
         if moved.residual_chi_square >= problem.residual_chi_square - 10.0:
             break
@@ -74,7 +82,7 @@ def _relinearise_constants(
 
 
 def _refine_noise_model(
-    nominal: Nominal, problem: LinearisedProblem, limits: Limits, clock: Clock
+    nominal: Nominal, problem: LinearisedProblem, reading: Reading, limits: Limits, clock: Clock
 ) -> tuple[Nominal, LinearisedProblem]:
     """Take level and colour of a channel's noise from the recording itself where little but noise is left in it.
 
@@ -102,13 +110,20 @@ def _refine_noise_model(
     if noise == dict(nominal.noise):
         return nominal, problem
     nominal = replace(nominal, noise=noise)
+    posterior = reading.shapes if reading.first_use else loop_shapes(nominal)
     # what a weight stands for is in the noise already where that was found in the recording
     shapes = {
         channel: shape if noise.get(channel) is before.get(channel) else replace(shape, rough=0.0)
-        for channel, shape in loop_shapes(nominal).items()
+        for channel, shape in posterior.items()
     }
     return nominal, linearise_problem(
-        nominal, problem.parts, shift=problem.origin, shapes=shapes, loops=problem.loops, say=clock.say
+        nominal,
+        problem.parts,
+        constants=problem.constants,
+        shift=problem.origin,
+        shapes=shapes,
+        loops=problem.loops,
+        say=clock.say,
     )
 
 

@@ -199,7 +199,9 @@ def _predicted(
         "proposal", np.arange(n, dtype=np.float64) * float(like.dt), like.dt, current, like.channels,
         {c: np.zeros(n) for c in like.channels}, {c: np.ones(n, dtype=bool) for c in like.channels},
     )  # fmt: skip
-    future = linearise_problem(nominal, [part], effects=second.effects, shapes=problem.shapes)
+    future = linearise_problem(
+        nominal, [part], constants=problem.constants, effects=second.effects, shapes=problem.shapes
+    )
     about = replace(future, included={})
     change = about.stack(about.responses(first.effects))
     tangent = []

@@ -16,7 +16,17 @@ from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.identification.enrichment import Correction, EnrichmentBasis
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
-__all__ = ["ANOTHER_DAY", "Constant", "Coverage", "LoopShape", "constants_of", "coverage", "loop_shapes"]
+__all__ = [
+    "ANOTHER_DAY",
+    "Constant",
+    "Coverage",
+    "LoopShape",
+    "constants_of",
+    "coverage",
+    "loop_shapes",
+    "open_shapes",
+    "refitted_constants",
+]
 
 Floats = NDArray[np.float64]
 DOMAINS = (1e3, 4e3, 1.6e4, 1e6)
@@ -233,6 +243,34 @@ micrometre, a meter keeps its gain within a per cent. Assumed: no statistics ove
 def constants_of(nominal: Nominal) -> tuple[Constant, ...]:
     """Constants that a refit may move: as uncertain as the calibration left them, and as they differ from day to day."""
     return (*_calibrated(nominal.model), *_drifting(nominal))
+
+
+REFITTED = {
+    "thermal.ambient": 2.0,
+    "thermal.linear_gain": 0.05,
+    "thermal.square_gain": 0.05,
+    "thermal.time_constant": 0.5,
+    "driver.dead_time": 1.0,
+}
+"""Standard deviation, in kelvin for the ambient and as a share of the value for the others, of what a fit of the nominal
+device may have taken up of an effect that was there in its calibration: a slow sensor doubles the time constant of a
+quick device, a slow parallel mode of some per cent changes the gain by as much."""
+
+
+def refitted_constants(nominal: Nominal) -> tuple[Constant, ...]:
+    """Return the constants that are fitted anew where the effect may have been there in the calibration."""
+    found = []
+    for name, spread in REFITTED.items():
+        value = nominal.model.scalars[name]
+        size = spread if name == "thermal.ambient" else abs(value) * spread
+        if size > 0.0:
+            found.append(Constant(name, ANOTHER_DAY[name][0], value, size, drifts=True, straight=0.05))
+    return tuple(found)
+
+
+def open_shapes(nominal: Nominal) -> dict[str, LoopShape]:
+    """Return loop shapes that nothing is known of but the prior, ten per cent of the model's."""
+    return loop_shapes(replace(nominal, digest=None))
 
 
 def _calibrated(model: DeviceModel) -> list[Constant]:

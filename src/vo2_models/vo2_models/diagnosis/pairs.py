@@ -118,7 +118,7 @@ def refit_about(
         problem.parts,
         # fitted with constants as the calibration left them, perhaps: those that drift come last
         shift=np.pad(best.shift, (0, problem.origin.size - best.shift.size)),
-        drifts=any(c.drifts for c in problem.constants),
+        constants=problem.constants,
         effects=best.effects,
         shapes=problem.shapes,
         loops=problem.loops,

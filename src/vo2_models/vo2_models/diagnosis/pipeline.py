@@ -30,6 +30,7 @@ def diagnose(
     recordings: Sequence[Recording],
     model: Mapping[str, Value] | Nominal,
     *,
+    calibration: Sequence[Recording] = (),
     progress: Progress = lambda share, text: None,
 ) -> Diagnosis:
     """Compare recordings with a fitted simulation and say what was left out.
@@ -38,31 +39,36 @@ def diagnose(
     ----------
     recordings : of one device, taken together
     model : flat `model.*` parameters as `load_model_parameters` reads them
+    calibration : recordings that the model was fitted to, where what is looked for may have been there already: nominal
+        device and effect are then fitted together over all recordings. Without, an effect is a change since
     progress : called with the share done, 0 to 1, and what is being done
 
     Raises
     ------
     Unusable : (a ValueError) data or model with which nothing can be said; one line with the reason.
     """
-    return assemble_diagnosis(study(recordings, model, progress=progress))
+    return assemble_diagnosis(study(recordings, model, calibration=calibration, progress=progress))
 
 
 def study(
     recordings: Sequence[Recording],
     model: Mapping[str, Value] | Nominal,
     *,
+    calibration: Sequence[Recording] = (),
     limits: Limits | None = None,
     progress: Progress = lambda share, text: None,
     names: Sequence[str] = (),
 ) -> Study:
-    """As `diagnose`, with the evidence kept."""
+    """As `diagnose`, with the evidence kept; `names` are those of the calibration and the recordings, for messages."""
     began = time.perf_counter()
     clock, limits = Clock(progress, 700), limits or Limits()
     nominal = model if isinstance(model, Nominal) else Nominal.from_parameters(model)
     # the cores run fits in parallel: threads inside BLAS would only wait for each other
     with threadpool_limits(1, user_api="blas"):
-        reading = read(recordings, nominal, names, limits, clock)
+        reading = read(
+            [*calibration, *recordings], nominal, names, limits, clock, calibrations=len(calibration)
+        )
         located = locate(reading, limits, clock)
-        found = search(located, limits, clock, one_loop=reading.one_loop)
-        decision = decide(located, found, limits, clock, one_loop=reading.one_loop)
+        found = search(located, limits, clock, one_loop=reading.one_loop, first_use=reading.first_use)
+        decision = decide(located, found, reading, limits, clock)
     return Study(reading, located, found, decision, limits, time.perf_counter() - began)

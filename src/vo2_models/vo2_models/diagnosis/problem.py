@@ -211,7 +211,7 @@ def linearise_problem(
     parts: Sequence[Part],
     *,
     shift: Floats | None = None,
-    drifts: bool = True,
+    constants: Sequence[Constant] | None = None,
     effects: Effects | None = None,
     shapes: Mapping[str, LoopShape] | None = None,
     loops: Mapping[str, LoopColumns] | None = None,
@@ -224,7 +224,7 @@ def linearise_problem(
     nominal : without corrections
     parts : recordings, as `part.prepare` made them
     shift : move of the thermal parameters to linearise about; the nuisance model pays for it as for its own moves
-    drifts : whether constants may have drifted since the calibration; else they are as it left them
+    constants : that a refit may move; by default those of another day, and what the calibration left open
     effects : effects to linearise about
     shapes : posterior of the loop shapes, where it is known already
     loops : columns of an earlier problem: their directions are kept, and they themselves where the
@@ -232,7 +232,7 @@ def linearise_problem(
     say : called with what is being done
     """
     shapes = loop_shapes(nominal) if shapes is None else shapes
-    constants = tuple(c for c in constants_of(nominal) if drifts or not c.drifts)
+    constants = tuple(constants_of(nominal) if constants is None else constants)
     origin = np.zeros(len(constants)) if shift is None else np.asarray(shift, dtype=np.float64)
     moved = {c.name: float(z) * c.spread for c, z in zip(constants, origin, strict=True) if not c.drifts}
     corrected = replace(nominal, corrections={c: s.fold(moved) for c, s in shapes.items()})

@@ -12,7 +12,15 @@ from vo2_models.diagnosis.breakdown import one_loop
 from vo2_models.diagnosis.check import Finding, Unusable, check_recording
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nominal import Nominal, Response, loop_ends
-from vo2_models.diagnosis.nuisance import LoopShape, coverage, loop_shapes
+from vo2_models.diagnosis.nuisance import (
+    Constant,
+    LoopShape,
+    constants_of,
+    coverage,
+    loop_shapes,
+    open_shapes,
+    refitted_constants,
+)
 from vo2_models.diagnosis.part import Part, prepare
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.recording import Recording, aligned
@@ -40,6 +48,8 @@ class Reading:
     parts : recordings in judged units, with the samples that count
     findings : limits of the data
     one_loop : whether the film went over one loop only, on which many effects look alike
+    constants : that a refit may move
+    calibrations : number of the first parts that are calibrations, 0 where the model file stands for them
     """
 
     nominal: Nominal
@@ -47,10 +57,23 @@ class Reading:
     parts: tuple[Part, ...]
     findings: tuple[Finding, ...]
     one_loop: bool
+    constants: tuple[Constant, ...]
+    calibrations: int = 0
+
+    @property
+    def first_use(self) -> bool:
+        """Whether the effect may have been there all along, so that calibrations are among the recordings."""
+        return self.calibrations > 0
 
 
 def read(
-    recordings: Sequence[Recording], nominal: Nominal, names: Sequence[str], limits: Limits, clock: Clock
+    recordings: Sequence[Recording],
+    nominal: Nominal,
+    names: Sequence[str],
+    limits: Limits,
+    clock: Clock,
+    *,
+    calibrations: int = 0,
 ) -> Reading:
     """Check recordings, put them on regular grids, find how they began, and leave out what cannot be judged.
 
@@ -61,6 +84,8 @@ def read(
     names : of the recordings, for messages; empty for numbers
     limits : when a command counts as stamped at the other end of its interval
     clock : told what is being done
+    calibrations : so many of the recordings, the first ones, are those that the model was fitted to: nominal device and
+        effect are then fitted together
 
     Raises
     ------
@@ -77,18 +102,20 @@ def read(
         findings += check_recording(recording, nominal, name=name)
         parts.append(prepare(recording, nominal, name=name))
     clock.say("simulating the recordings")
-    shapes = loop_shapes(nominal)
+    shapes = open_shapes(nominal) if calibrations else loop_shapes(nominal)
     corrected = replace(nominal, corrections={c: s.fold() for c, s in shapes.items()})
     parts, stamps = _restamped(parts, corrected, limits)
     findings += stamps
     started = [_detect_initial_state(part, corrected) for part in parts]
     parts, findings = _mask_after_gaps(started, nominal, findings)
     paths = [response.temperature for _, response in started]
-    parts, findings = _mask_uncovered(parts, paths, nominal, tuple(shapes), findings)
+    if not calibrations:
+        parts, findings = _mask_uncovered(parts, paths, nominal, tuple(shapes), findings)
     repeating = one_loop(paths, [part.dt for part in parts])
     if repeating:
         findings = [*findings, ONE_LOOP]
-    return Reading(nominal, shapes, tuple(parts), tuple(findings), repeating)
+    constants = refitted_constants(nominal) if calibrations else constants_of(nominal)
+    return Reading(nominal, shapes, tuple(parts), tuple(findings), repeating, constants, calibrations)
 
 
 def _restamped(parts: Sequence[Part], nominal: Nominal, limits: Limits) -> tuple[list[Part], list[Finding]]:

@@ -22,6 +22,7 @@ from vo2_models.diagnosis.result import (
     MovedConstant,
     NamedEffect,
 )
+from vo2_models.diagnosis.search import completeness
 from vo2_models.diagnosis.stages import Study
 from vo2_models.effects.record import CHOICE
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
@@ -151,7 +152,8 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
     if study.reading.one_loop and study.decision.chosen is not None:
         temper = max(temper, study.limits.temper_on_one_loop * study.decision.chosen.gain)
     weights = probabilities(chi, [len(e.coordinates) for e in everyone], count=count, temper=temper)
-    certain = 1.0 if study.decision.unnamed is None else 0.5 * _best_share(study)
+    otherwise = _something_else(study)
+    certain = 1.0 - otherwise
     by_key: dict[str, float] = {}
     best: dict[str, Explanation] = {}
     for weight, explanation in zip(weights, everyone, strict=True):
@@ -183,7 +185,31 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
                 why_not="" if own else _why_not(study, explanation),
             )
         )
-    return found[:12], by_key
+    left = float(np.clip(1.0 - told, 0.0, 1.0))
+    after = study.decision.judged.after
+    unknown = Candidate(
+        "unknown",
+        otherwise,
+        {c: after.get(c, 0.0) / size[c] for c in study.located.excess},
+        explained_share=left,
+        why_not=f"explains {100 * left:.0f} % of the excess, what the answer leaves"
+        if study.decision.chosen
+        else "",
+    )
+    return sorted([*found[:11], unknown], key=lambda c: -c.probability), by_key
+
+
+def _something_else(study: Study) -> float:
+    """Return the probability that nothing of the catalogue is the answer.
+
+    Of a named answer it grows with the share s of the excess that is left over, as s^2 / (s^2 + s0^2), s0 where both are
+    equally probable. Without a name it is one, less what the best single effect explains.
+    """
+    chosen, limits = study.decision.chosen, study.limits
+    if chosen is None:
+        return 1.0 - 0.5 * _best_share(study)
+    left = 1.0 - completeness(chosen, study.decision.remaining_excess, study.located.problem, limits)
+    return float(left**2 / (left**2 + limits.something_else**2))
 
 
 def _best_share(study: Study) -> float:
@@ -294,7 +320,7 @@ def _unknown(study: Study) -> NamedEffect:
     named = sum(1.0 for _ in (study.decision.chosen.hypotheses if study.decision.chosen else ()))
     probability = 1.0 if not named else 0.5
     if study.decision.chosen is None:
-        probability = 1.0 - 0.5 * _best_share(study)
+        probability = _something_else(study)
     family = family_of_unnamed(study.located.problem, study.located.excess, shapes)
     form = shapes[0].words if shapes else "none found"
     return NamedEffect("unknown", float(probability), statement, equation, {}, family=family, form=form)
@@ -327,14 +353,19 @@ def _of_what(study: Study) -> str:
     return f" in {' and '.join(sorted(judged))} ({' and '.join(absent)} could not be judged)"
 
 
+def _refitted(study: Study) -> str:
+    """Say that the nominal device was fitted anew, where it was."""
+    return ", the nominal device fitted to all recordings," if study.reading.first_use else ""
+
+
 def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -> str:
     """The answer in two or three sentences."""
     decision, excess = study.decision, study.located.excess
     power = 100 * max(study.located.total_excess, 0.0)
     if decision.verdict == "agrees":
         return (
-            f"Simulation and recording agree{_of_what(study)}: the residual exceeds the noise by {power:.0f} % of its "
-            "power, no more than an unchanged device shows."
+            f"Simulation and recording agree{_of_what(study)}{_refitted(study)}: the residual exceeds the noise by "
+            f"{power:.0f} % of its power, no more than an unchanged device shows."
         )
     moved = _moved_in_words(_moved(study))
     if decision.verdict == "drifted":
@@ -343,7 +374,12 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     head = (
         f"Simulation and recording differ, most in {where} ({1 + excess[where]:.3g} times the noise power)."
     )
-    tail = f" Constants have moved besides: {moved}." if moved else ""
+    lead = (
+        "The calibration had taken up a part of it"
+        if study.reading.first_use
+        else "Constants have moved besides"
+    )
+    tail = f" {lead}: {moved}." if moved else ""
     names = [e.id + (f" on {e.signal}" if e.signal else "") for e in effects if e.id != "unknown"]
     if not names:
         share = decision.unnamed.share if decision.unnamed else 0.0

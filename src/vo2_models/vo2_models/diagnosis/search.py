@@ -47,7 +47,9 @@ class Search:
     not_excited: tuple[str, ...]
 
 
-def search(located: Located, limits: Limits, clock: Clock, *, one_loop: bool) -> Search:
+def search(
+    located: Located, limits: Limits, clock: Clock, *, one_loop: bool, first_use: bool = False
+) -> Search:
     """Score all hypotheses, refit the promising ones, and look for a second effect beside the best.
 
     Where the constants had to move far to absorb a mismatch, they may have absorbed an effect: hypotheses are then tried
@@ -59,6 +61,7 @@ def search(located: Located, limits: Limits, clock: Clock, *, one_loop: bool) ->
     limits : when something counts
     clock : told what is being done
     one_loop : whether many effects look alike in these recordings, so that more of them are refitted
+    first_use : whether the nominal device is refitted to all recordings; then the calibration fixes no constant
     """
     problem = located.problem
     candidates = hypotheses(problem, located.nominal.device, located.remaining)
@@ -69,7 +72,7 @@ def search(located: Located, limits: Limits, clock: Clock, *, one_loop: bool) ->
     scores = score(problem, candidates, problem.residual, tick=clock.tick)
     clock.say("refitting the most promising")
     fits = _refitted(problem, scores, limits, shortlist, clock)
-    if hidden:
+    if hidden and not first_use:
         fits += _with_fixed_constants(located, candidates, limits, shortlist, clock)
     before = problem.residual_chi_square
     best: dict[str, Explanation] = {}
@@ -125,7 +128,7 @@ def _with_fixed_constants(
     fixed = linearise_problem(
         located.nominal,
         problem.parts,
-        drifts=False,
+        constants=[c for c in problem.constants if not c.drifts],
         shapes=problem.shapes,
         loops=problem.loops,
         say=clock.say,

@@ -1,0 +1,41 @@
+"""An effect that was there in the calibration too: nominal device and effect are fitted together."""
+
+import pytest
+from concealed_devices import DEVICE, SEED, calibration, concealed, measured
+from vo2_identification.bags import write_bag
+from vo2_identification.diagnose import main
+from vo2_models.diagnosis import study
+from vo2_models.diagnosis.report import assemble_diagnosis
+from vo2_models.identification.model_fit import fit_model
+from vo2_models.model_file import save_model_parameters
+
+ALL_ALONG = {"creep": {"share": 0.06, "time_constant": 0.2}}
+
+
+@pytest.fixture(scope="module")
+def known():
+    """Calibration of a device that creeps, and the model that was fitted to it."""
+    recording = measured(calibration(SEED, DEVICE, ALL_ALONG))
+    return recording, fit_model([recording], DEVICE, plays=12, self_sensing=False)[1]
+
+
+def test_a_creep_that_was_there_all_along_is_named(known) -> None:
+    recording, parameters = known
+    two = [concealed(ALL_ALONG, seed=seed, samples=2500) for seed in (21, 22)]
+    seen = study(two, parameters, calibration=[recording])
+    answer = assemble_diagnosis(seen)
+    assert seen.reading.first_use and len(seen.located.problem.parts) == 3
+    assert [(e.id, e.family) for e in answer.effects] == [("creep", "structure")]
+    assert answer.effects[0].parameters["share"].value == pytest.approx(0.06, rel=0.25)
+
+
+def test_the_command_takes_the_calibration_bag(known, tmp_path, capsys) -> None:
+    recording, parameters = known
+    write_bag(tmp_path / "calibration", recording)
+    write_bag(tmp_path / "short", concealed(samples=1000).slice(0, 300))
+    save_model_parameters(tmp_path / "model.yaml", parameters)
+    bags = ["--bag", str(tmp_path / "short"), "--calibration", str(tmp_path / "calibration")]
+    status = main([*bags, "--model", str(tmp_path / "model.yaml"), "--output", str(tmp_path / "o")])
+    assert status == 2
+    # both are read, and the one that cannot be used is named
+    assert f"{tmp_path / 'short'}: found 300 samples" in capsys.readouterr().err
