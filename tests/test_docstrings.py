@@ -21,8 +21,8 @@ LIBRARIES = (
 
 # modules that are being rebuilt: their functions are still to be read
 OPEN = re.compile(
-    r"vo2_models\.(device|diagnosis|effects|numerics|hysteresis\.laws|identification\.(bank_fit|calibration_check))\."
-    r"|vo2_interface\.|vo2_plant_sim\.|.*_node\.main$|vo2_control\.(closed_loop|designs|controller)\."
+    r"vo2_models\.(device|diagnosis|effects|hysteresis\.laws)\."
+    r"|vo2_interface\.|.*estimator_node\.main$|vo2_control\.controller\."
     r"|vo2_identification\.diagnose\.command\."
 )
 

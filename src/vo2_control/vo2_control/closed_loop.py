@@ -131,6 +131,10 @@ def run_loop(
     dt : sample period [s], None for the preset's
     seed, noise : of the sensors' noise
 
+    Returns
+    -------
+    LoopResult : all signals of the run
+
     Raises
     ------
     ValueError : sample periods of controller and experiment differ, a reference that is not finite.

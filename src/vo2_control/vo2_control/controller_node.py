@@ -167,7 +167,16 @@ class ControllerNode(CommandNode):
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM."""
+    """Run the node until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    args : command line, None for that of the process
+
+    Returns
+    -------
+    int : exit status
+    """
     return run_nodes(ControllerNode, args=args)
 
 

@@ -160,6 +160,10 @@ def design_feedforward(
 ) -> InverseFeedforward:
     """Return the inverse compensation of the model in `values` (`model.*`) within the limits in it.
 
+    Parameters
+    ----------
+    sample_period_s : [s]
+
     Raises
     ------
     ValueError : no model, a model without deflection or of another preset.
@@ -190,7 +194,12 @@ def reach(ahead: InverseFeedforward) -> tuple[float, float]:
 
 
 def open_loop(limits: CurrentLimits, sample_period_s: float) -> Controller:
-    """Return the law without feedback: the feedforward current within the limits."""
+    """Return the law without feedback: the feedforward current within the limits.
+
+    Parameters
+    ----------
+    sample_period_s : [s]
+    """
     nothing = LinearLaw(
         a=np.zeros((0, 0)),
         b=np.zeros((0, 2)),

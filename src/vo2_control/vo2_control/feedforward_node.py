@@ -78,7 +78,16 @@ class FeedforwardNode(CommandNode):
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM."""
+    """Run the node until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    args : command line, None for that of the process
+
+    Returns
+    -------
+    int : exit status
+    """
     return run_nodes(FeedforwardNode, args=args)
 
 

@@ -135,7 +135,16 @@ class ReferenceNode(Node):
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM."""
+    """Run the node until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    args : command line, None for that of the process
+
+    Returns
+    -------
+    int : exit status
+    """
     return run_nodes(ReferenceNode, args=args)
 
 

@@ -423,7 +423,16 @@ def _run_fit(fit: _Fit, fitting: Callable[[Recording], Mapping[str, Value]]) -> 
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM."""
+    """Run the node until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    args : command line, None for that of the process
+
+    Returns
+    -------
+    int : exit status
+    """
     return run_nodes(IdentifierNode, args=args)
 
 

@@ -60,6 +60,10 @@ class Layout:
 def read_layout(data: bytes) -> Layout:
     """Return the layout of a serialized message.
 
+    Parameters
+    ----------
+    data : a serialised message
+
     Raises
     ------
     CdrError : no such message, one cut short, or one with another number of names than of positions (CountError).
@@ -103,6 +107,11 @@ def blank_sample(channels: Sequence[str], device: str) -> tuple[bytearray, int]:
 
     Written here, not by the message class, which leaves whatever memory held in the padding between members:
     the same run must give the same bytes.
+
+    Parameters
+    ----------
+    channels : names
+    device : id in the header
     """
     buffer = bytearray(LITTLE_ENDIAN + bytes(FRAME_AT - len(LITTLE_ENDIAN)))
 

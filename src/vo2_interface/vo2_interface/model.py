@@ -43,7 +43,12 @@ _SETTLE_CONSTANTS = 5.0
 
 
 def operating_point(preset_id: str) -> OperatingPoint:
-    """Return the operating point of a preset; raise `ValueError` naming the known ones."""
+    """Return the operating point of a preset; raise `ValueError` naming the known ones.
+
+    Parameters
+    ----------
+    preset_id : preset, or path of a device file
+    """
     nominal = preset(preset_id)
     cold, hot = nominal.operating_range
     return OperatingPoint(

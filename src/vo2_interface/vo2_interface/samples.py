@@ -74,7 +74,12 @@ def to_stamp_ns(stamp: Time) -> int:
 
 
 def stamp_message(stamp_ns: int) -> Time:
-    """Return whole nanoseconds as a message stamp."""
+    """Return whole nanoseconds as a message stamp.
+
+    Parameters
+    ----------
+    stamp_ns : [ns]
+    """
     return Time(sec=stamp_ns // _NS, nanosec=stamp_ns % _NS)
 
 

@@ -12,7 +12,16 @@ __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Console script; everything but `--effects` goes to the node."""
+    """Console script; everything but `--effects` goes to the node.
+
+    Parameters
+    ----------
+    arguments : command line, None for that of the process
+
+    Returns
+    -------
+    int : exit status
+    """
     parser = argparse.ArgumentParser(prog="plant", add_help=False, allow_abbrev=False)
     add_effects_option(parser)
     program, *given = sys.argv if arguments is None else arguments

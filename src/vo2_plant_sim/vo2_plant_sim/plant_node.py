@@ -300,7 +300,16 @@ class PlantNode(Node):
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM."""
+    """Run the node until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    args : command line, None for that of the process
+
+    Returns
+    -------
+    int : exit status
+    """
     return run_nodes(PlantNode, args=args)
 
 

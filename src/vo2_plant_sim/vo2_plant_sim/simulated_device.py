@@ -66,6 +66,11 @@ class SimulatedDevice:
 def simulated_device(preset: str, rate_hz: float, parameters: ParameterTable) -> SimulatedDevice:
     """Return the device that the parameters describe.
 
+    Parameters
+    ----------
+    preset : preset, or path of a device file
+    rate_hz : samples per second of simulated time
+
     Raises
     ------
     ValueError : unknown effect, value out of range, or no model where one is asked for.

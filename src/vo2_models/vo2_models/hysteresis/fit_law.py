@@ -71,6 +71,10 @@ class LawFit:
 def excursions(u: ArrayLike) -> NDArray[np.int64]:
     """Return the number of the excursion that each sample (n,) belongs to: from a turn over the next one to its end.
 
+    Parameters
+    ----------
+    u : (n,) inputs
+
     Examples
     --------
     >>> excursions([0.0, 1.0, 2.0, 1.0, 0.0, 1.0, 1.5, 1.0, 0.0]).tolist()
@@ -107,6 +111,10 @@ def fit_law(
     name : of `FITTED`
     u, y : (n,) input and output, in any units, the output rising with the input through the loop (-log10 R)
     groups : (n,) number of the excursion or curve of each sample; by default found by `excursions`
+
+    Returns
+    -------
+    LawFit : the law, and how well it predicts what was held out
 
     Raises
     ------

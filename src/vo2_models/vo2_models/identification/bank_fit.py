@@ -124,7 +124,15 @@ class BankFit:
 
 
 def starting_shape(temperature: Floats, values: Floats, *, plays: int, degree: int = 3) -> BankShape:
-    """Return a start from where the channel crosses the middle of its range on heating and on cooling."""
+    """Return a start from where the channel crosses the middle of its range on heating and on cooling.
+
+    Parameters
+    ----------
+    temperature : (n,) [degC]
+    values : (n,) [unit of the channel]
+    plays : number of plays
+    degree : of the polynomial
+    """
     ok = np.isfinite(values)
     t, y = temperature[ok], values[ok]
     low, high = np.quantile(y, [0.02, 0.98])
@@ -162,6 +170,10 @@ def shape_rules(plays: int, size: int, values: Floats) -> ShapeRules:
 
     The prior lets a play move by a factor or a few kelvin at the price of a few samples of one per cent of
     range; it only keeps plays in place that the data say nothing about. The polynomial is free.
+
+    Parameters
+    ----------
+    size : number of samples
     """
     span = max(float(np.nanmax(values) - np.nanmin(values)), 1e-300)
     prior, largest = np.zeros(size), np.full(size, np.inf)
@@ -176,7 +188,12 @@ def shape_rules(plays: int, size: int, values: Floats) -> ShapeRules:
 
 
 def evaluate(shape: BankShape, temperature: Floats) -> tuple[Floats, Floats]:
-    """Return the model's output (n,) and its derivatives (n, 4 N + m) along a temperature (n,) [degC]."""
+    """Return the model's output (n,) and its derivatives (n, 4 N + m) along a temperature (n,) [degC].
+
+    Parameters
+    ----------
+    shape : in fitting coordinates
+    """
     slope, width, weight = (np.exp(v) for v in (shape.log_slope, shape.log_width, shape.log_weight))
     values, by_slope, by_centre, by_width = play_sensitivities(temperature, slope, shape.centre, width)
     x = (temperature - POLYNOMIAL_CENTRE) / POLYNOMIAL_SCALE
@@ -204,6 +221,10 @@ def fit_bank(
     weights : (n,) relative weights of the samples' squared residuals, None for equal ones
     iterations : most steps
     tolerance : relative decrease of the squared residual at which the fit ends
+
+    Returns
+    -------
+    BankFit : shape, residual and Jacobian
 
     Raises
     ------

@@ -86,6 +86,11 @@ def check_calibration(
 def judge_fit(result: FitResult, recordings: Sequence[Recording]) -> list[str]:
     """Return what is poor about a fit, one sentence each.
 
+    Parameters
+    ----------
+    result : fit to judge
+    recordings : it was fitted to
+
     Raises
     ------
     ValueError : a channel of which the fit explains less than half of the variance; one line.

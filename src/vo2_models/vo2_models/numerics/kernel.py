@@ -30,7 +30,12 @@ UNUSED_S = 90 * 86400.0
 
 
 def cache_folder() -> Path:
-    """Folder of all compiled kernels: `VO2_KERNEL_CACHE`, else `vo2-kernels` in the user's cache folder."""
+    """Folder of all compiled kernels: `VO2_KERNEL_CACHE`, else `vo2-kernels` in the user's cache folder.
+
+    Returns
+    -------
+    Path : which need not exist
+    """
     given = os.environ.get("VO2_KERNEL_CACHE")
     if given:
         return Path(given)
@@ -60,7 +65,16 @@ def _imports(path: str) -> tuple[str, ...]:
 
 @cache
 def source_digest(*paths: str) -> str:
-    """Digest of files, of everything of this project that they import, and of the versions of numba and numpy."""
+    """Digest of files, of everything of this project that they import, and of the versions of numba and numpy.
+
+    Parameters
+    ----------
+    paths : files
+
+    Returns
+    -------
+    str : hexadecimal
+    """
     seen: set[str] = set()
     todo = list(paths)
     while todo:
