@@ -160,3 +160,67 @@ def test_three_processes_and_a_recorder_at_1_khz_lose_nothing(tmp_path, samples)
     counts = {topic: int(count) for topic, count in re.findall(r"(/vo2/\w+) (\d+)[,)]", said)}
     assert counts.keys() == set(topics)
     assert sum(counts.values()) == 3 * samples
+
+
+def segments():
+    """Shared-memory segments of Fast DDS on this host: name -> size in bytes."""
+    names = Path("/dev/shm").glob("fastrtps_*")
+    return {
+        path.name: path.stat().st_size
+        for path in names
+        if not path.name.endswith(("_el", "_sl")) and "port" not in path.name and path.exists()
+    }
+
+
+def segments_of(pid):
+    links = [os.readlink(entry) for entry in Path(f"/proc/{pid}/fd").iterdir() if entry.is_symlink()]
+    found = {Path(link).name.removesuffix("_el") for link in links if link.startswith("/dev/shm/fastrtps_")}
+    return {name for name in found if "port" not in name}
+
+
+def test_a_later_start_reclaims_the_memory_of_a_killed_process_and_of_no_other():
+    plant = [installed("vo2_plant_sim", "plant")]
+    with running(plant, plain_environment()) as alive, running(plant, plain_environment()) as killed:
+        for each in (alive, killed):
+            wait_for(lambda pid=each.pid: segments_of(pid), "a segment")
+        time.sleep(6.0)  # young ones are left alone
+        kept, left = segments_of(alive.pid), segments_of(killed.pid)
+        killed.kill()
+        killed.wait()
+        assert left <= segments().keys()
+        assert sum(segments()[name] for name in left) > 16e6
+        with running(plant, plain_environment()) as third:
+            wait_for(lambda: segments_of(third.pid), "a start")
+            assert not left & segments().keys()
+            assert kept <= segments().keys()
+
+
+@pytest.mark.parametrize("cold", [False, True], ids=["warm", "cold kernels"])
+@pytest.mark.parametrize("executable", ["plant", "estimator"])
+def test_one_ctrl_c_or_two_end_a_node_in_order(tmp_path, executable, cold):
+    package = {"plant": "vo2_plant_sim", "estimator": "vo2_estimation"}[executable]
+    environment = {**plain_environment(), "PYTHONUNBUFFERED": "1"}
+    if cold:
+        environment["VO2_KERNEL_CACHE"] = str(tmp_path)
+    for delay_s, again_s in ((0.0, None), (0.3, 0.05), (1.5, 0.5)):
+        with running([installed(package, executable)], environment) as node:
+            # from here on it hears signals: what is imported before takes a second
+            wait_for(lambda node=node: catches_sigint(node.pid), "a handler")
+            time.sleep(delay_s)
+            began = time.monotonic()
+            node.send_signal(signal.SIGINT)
+            if again_s is not None:
+                time.sleep(again_s)
+                if node.poll() is None:
+                    node.send_signal(signal.SIGINT)
+            said, _ = node.communicate(timeout=PATIENCE_S)
+        assert node.returncode == 0, said
+        assert "Traceback" not in said
+        assert time.monotonic() - began < 10.0
+
+
+def catches_sigint(pid):
+    """Whether the program itself handles SIGINT and SIGTERM: Python alone handles the first only."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    caught = int(re.search(r"SigCgt:\s*(\w+)", status)[1], 16)
+    return all(caught >> (number - 1) & 1 for number in (signal.SIGINT, signal.SIGTERM))

@@ -5,10 +5,13 @@ from __future__ import annotations
 import faulthandler
 import gc
 import inspect
+import math
 import os
 import re
 import signal
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -19,7 +22,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from vo2_interface.one_host import missing_settings
+from vo2_interface.one_host import missing_settings, reclaim_shared_memory
 from vo2_interface.usage import ARGUMENTS, usage
 
 __all__ = [
@@ -33,27 +36,70 @@ __all__ = [
 ]
 
 _SPIN_S = 0.05
+_ONE_END_S = 2.0
+_PATIENCE_S = 1.0
 _LEAVE_S = 6.0
 _BAD_FILE = re.compile(r"params file: '--params-file (.*?)'\. Error: (.*?)(?:, at /.*)?$")
 
 
 class StopFlag:
-    """Set by the first SIGINT or SIGTERM; a second one ends the process the ordinary way."""
+    """Set by the first SIGINT or SIGTERM; one that comes more than two seconds later acts the ordinary way.
 
-    def __init__(self) -> None:
+    Whoever presses Ctrl-C twice, or tells a launch file and its processes both, means one end: a second signal must
+    not break the first one's work.
+
+    Parameters
+    ----------
+    stuck : is called in a thread of its own where the first signal has not been obeyed for a second, since the main
+        thread is in the compiler or in a long computation, and ends the process; None to wait for as long as it takes
+    """
+
+    def __init__(self, stuck: Callable[[], None] | None = None) -> None:
         self.is_set = False
+        self._first_s = math.inf
+        self._obeyed = threading.Event()
         self._before = {
             number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)
         }
+        if stuck is not None:
+            self._watch(stuck)
 
     def set(self) -> None:
         """End the loop as the first signal does."""
         self.is_set = True
 
+    def obeyed(self) -> None:
+        """Tell that the end has begun, in order; after a signal it is not disturbed by more of them.
+
+        Handlers would not do: Python takes them away while it shuts down, and the next signal would kill it.
+        """
+        self._obeyed.set()
+        if math.isfinite(self._first_s):
+            for each in self._before:
+                signal.signal(each, signal.SIG_IGN)
+
     def _on_signal(self, number: int, _frame: object) -> None:
         self.set()
-        for each, before in self._before.items():
-            signal.signal(each, signal.SIG_DFL if each == signal.SIGTERM else before)
+        now = time.monotonic()
+        self._first_s = min(self._first_s, now)
+        if now - self._first_s > _ONE_END_S:
+            for each, before in self._before.items():
+                signal.signal(each, signal.SIG_DFL if each == signal.SIGTERM else before)
+            signal.raise_signal(number)
+
+    def _watch(self, stuck: Callable[[], None]) -> None:
+        """Hear signals beside the main thread: Python calls a handler only once that one returns to Python."""
+        hears, tells = os.pipe()
+        os.set_blocking(tells, False)
+        signal.set_wakeup_fd(tells, warn_on_full_buffer=False)
+
+        def watch() -> None:
+            while True:
+                heard = os.read(hears, 1)[0]
+                if heard in self._before and not self._obeyed.wait(_PATIENCE_S):
+                    stuck()
+
+        threading.Thread(target=watch, daemon=True).start()
 
 
 class RigNode(Protocol):
@@ -97,6 +143,7 @@ def join_graph(args: Sequence[str] | None = None) -> None:
     """
     # read by rcl and by Fast DDS when the first participant is made
     os.environ.update(missing_settings())
+    reclaim_shared_memory()
     try:
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # rclpy raises bare RuntimeErrors of its C layer here
@@ -170,8 +217,13 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
             return 0
         print(f"{program}: found {' '.join(extra)}; {ARGUMENTS}", file=sys.stderr)
         return 2
-    stop = StopFlag()
     nodes: list[Node] = []
+
+    def leave_at_once() -> None:
+        _close(nodes)
+        os._exit(0)
+
+    stop = StopFlag(leave_at_once)
     executor: Executor | None = None
     try:
         join_graph(args)
@@ -181,6 +233,8 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
     try:
         executor = fastest_executor()
         for make in make_nodes:
+            if stop.is_set:
+                return 0
             nodes.append(make())
             executor.add_node(nodes[-1])
         # what is loaded by now stays: without this every full collection walks the compiler's objects
@@ -200,8 +254,13 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
         print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     finally:
-        for node in nodes:
-            close = getattr(node, "close", None)
-            if close is not None and rclpy.ok():
-                close()
+        stop.obeyed()
+        _close(nodes)
         leave_graph(executor, nodes)
+
+
+def _close(nodes: Iterable[Node]) -> None:
+    for node in nodes:
+        close = getattr(node, "close", None)
+        if close is not None and rclpy.ok():
+            close()
