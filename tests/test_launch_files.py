@@ -86,6 +86,18 @@ def test_what_a_launch_file_needs_is_a_dependency_and_is_installed_with_it(path)
         assert 'glob("config/*.yaml")' in setup, name
 
 
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_one_argument_chooses_wall_time_or_lockstep(path):
+    calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+    named = [call for call in calls if getattr(call.func, "id", "") == "DeclareLaunchArgument"]
+    arguments = {call.args[0].value: {word.arg: word.value for word in call.keywords} for call in named}
+    (choices,) = (record.choices for record in PLANT_PARAMETERS if record.name == "time")
+    assert tuple(ast.literal_eval(arguments["time"]["choices"])) == choices
+    assert ast.literal_eval(arguments["use_sim_time"]["default_value"]) == "false"
+    used = [call.args[0].value for call in calls if getattr(call.func, "id", "") == "LaunchConfiguration"]
+    assert {"time", "use_sim_time"} <= set(used)
+
+
 def test_the_parameter_file_of_the_loop_holds_declared_parameters_with_valid_values():
     content = yaml.safe_load((SOURCES / "vo2_control" / "config" / "loop.yaml").read_text())
     shared = content.pop("/**")["ros__parameters"]

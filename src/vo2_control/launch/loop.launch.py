@@ -1,15 +1,20 @@
-"""Plant, estimator, controller and reference as separate processes in lockstep; `model` is a file that fit wrote."""
+"""Plant, estimator, controller and reference as separate processes; `model` is a file that fit wrote."""
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the launch description."""
-    parameters = [LaunchConfiguration("parameters"), LaunchConfiguration("model")]
+    clock = {
+        "time": LaunchConfiguration("time"),
+        "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool),
+    }
+    parameters = [LaunchConfiguration("parameters"), LaunchConfiguration("model"), clock]
     default = PathJoinSubstitution([FindPackageShare("vo2_control"), "config", "loop.yaml"])
     nodes = [
         ("vo2_plant_sim", "plant"),
@@ -20,6 +25,17 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             DeclareLaunchArgument("namespace", default_value="/vo2", description="Namespace of the loop."),
+            DeclareLaunchArgument(
+                "time",
+                default_value="lockstep",
+                choices=["lockstep", "wall"],
+                description="Simulated time, as fast as the loop answers, or wall time.",
+            ),
+            DeclareLaunchArgument(
+                "use_sim_time",
+                default_value="false",
+                description="Whether the nodes' clocks follow /clock, which the plant publishes in lockstep.",
+            ),
             DeclareLaunchArgument(
                 "parameters", default_value=default, description="Parameter file of the nodes."
             ),

@@ -13,6 +13,7 @@ def generate_launch_description() -> LaunchDescription:
     preset = LaunchConfiguration("preset")
     seed = ParameterValue(LaunchConfiguration("seed"), value_type=int)
     model = ParameterValue(LaunchConfiguration("model_file"), value_type=str)
+    clock = {"use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)}
     return LaunchDescription(
         [
             DeclareLaunchArgument("namespace", default_value="/vo2", description="Namespace of the loop."),
@@ -21,27 +22,38 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument("seed", default_value="1", description="Seed of the simulated device."),
             DeclareLaunchArgument(
+                "time",
+                default_value="lockstep",
+                choices=["lockstep", "wall"],
+                description="Simulated time, as fast as the identifier answers, or wall time.",
+            ),
+            DeclareLaunchArgument(
+                "use_sim_time",
+                default_value="false",
+                description="Whether the nodes' clocks follow /clock, which the plant publishes in lockstep.",
+            ),
+            DeclareLaunchArgument(
                 "model_file", default_value="model.yaml", description="Where the model is saved."
             ),
             Node(
                 package="vo2_plant_sim",
                 executable="plant",
                 namespace=space,
-                parameters=[{"preset": preset, "seed": seed}],
+                parameters=[{"preset": preset, "seed": seed, "time": LaunchConfiguration("time")}, clock],
                 output="screen",
             ),
             Node(
                 package="vo2_estimation",
                 executable="estimator",
                 namespace=space,
-                parameters=[{"preset": preset}],
+                parameters=[{"preset": preset}, clock],
                 output="screen",
             ),
             Node(
                 package="vo2_identification",
                 executable="identifier",
                 namespace=space,
-                parameters=[{"preset": preset, "model_file": model}],
+                parameters=[{"preset": preset, "model_file": model}, clock],
                 output="screen",
             ),
         ]
