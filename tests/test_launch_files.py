@@ -90,11 +90,17 @@ def test_what_a_launch_file_needs_is_a_dependency_and_is_installed_with_it(path)
 def test_one_argument_chooses_wall_time_or_lockstep(path):
     calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
     named = [call for call in calls if getattr(call.func, "id", "") == "DeclareLaunchArgument"]
-    arguments = {call.args[0].value: {word.arg: word.value for word in call.keywords} for call in named}
+    arguments = {
+        ast.literal_eval(call.args[0]): {word.arg: word.value for word in call.keywords} for call in named
+    }
     (choices,) = (record.choices for record in PLANT_PARAMETERS if record.name == "time")
     assert tuple(ast.literal_eval(arguments["time"]["choices"])) == choices
     assert ast.literal_eval(arguments["use_sim_time"]["default_value"]) == "false"
-    used = [call.args[0].value for call in calls if getattr(call.func, "id", "") == "LaunchConfiguration"]
+    used = [
+        ast.literal_eval(call.args[0])
+        for call in calls
+        if getattr(call.func, "id", "") == "LaunchConfiguration"
+    ]
     assert {"time", "use_sim_time"} <= set(used)
 
 
