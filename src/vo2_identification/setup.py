@@ -31,6 +31,7 @@ setup(
             "identifier = vo2_identification.identifier_node:main",
             "record = vo2_identification.record:main",
             "replay = vo2_identification.replay:main",
+            "compress = vo2_identification.compress:main",
             "convert = vo2_identification.convert:main",
             "fit = vo2_identification.fit:main",
             "diagnose = vo2_identification.diagnose:main",

@@ -180,7 +180,7 @@ def test_any_law_goes_into_another_compiled_loop(name):
     for i in current:
         temperature += 0.5 * (22.0 + 1e6 * i**2 - temperature)
         path.append(temperature)
-    expected = law.run(path) - law.polynomial_part(path)
+    expected = law.run(path) - law.polynomial_part(np.array(path))
     assert device(current, law.packed, law.initial_memory()) == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 

@@ -40,6 +40,8 @@ HELD_OUT = 3
 """Every how many excursions one is held out."""
 LEVELS = (16, 40)
 """Levels of the Preisach grids that are tried."""
+FINE_LEVEL, FINE_FROM = 60, 3000
+"""A finer level, and the number of samples from which it is tried as well."""
 PLAYS = 12
 DOMAINS = 1000
 
@@ -69,7 +71,7 @@ class LawFit:
 
 
 def excursions(u: ArrayLike) -> NDArray[np.int64]:
-    """Return the number of the excursion that each sample (n,) belongs to: from a turn over the next one to its end.
+    """Return the excursion (n,) that each sample of the input u (n,) belongs to: from a turn over the next to its end.
 
     Parameters
     ----------
@@ -182,14 +184,20 @@ def _rms(residual: Floats) -> float:
 def _preisach(u: Floats, y: Floats, label: NDArray[np.int64], measured: Booleans) -> tuple[Law, Floats]:
     """Smooth densities on the level, with the strength and sign, that predict parts left out best."""
     label = label if np.unique(label[measured]).size >= 5 else np.arange(u.size) * 50 // u.size
-    fits = (
+    levels = (*LEVELS, FINE_LEVEL) if u.size >= FINE_FROM else LEVELS
+    fits = [
         fit_smooth(
-            u, y, np.linspace(u.min(), u.max(), level + 1),
-            nonnegative=None, groups=label, measured=measured, strengths=STRENGTHS,
+            u,
+            y,
+            np.linspace(u.min(), u.max(), level + 1),
+            nonnegative=None,
+            groups=label,
+            measured=measured,
+            strengths=STRENGTHS,
         )
-        for level in LEVELS
-    )  # fmt: skip
-    best = min(fits, key=lambda fit: fit.held_out_rmse.min())
+        for level in levels
+    ]
+    best = min(fits, key=lambda fit: float(fit.held_out_rmse.min()))
     return best.operator, best.operator.initial_memory()
 
 

@@ -15,6 +15,7 @@ A device may feed the two with different inputs (an effect that shifts the trans
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
@@ -90,12 +91,12 @@ class Law(ABC):
         """Input that the memory was last moved to; -inf or inf straight after `initial_memory`."""
         return float(memory[0])
 
-    def polynomial_part(self, u: ArrayLike) -> Any:
+    def polynomial_part(self, u: float | Floats) -> Any:
         """Memoryless part that `move` leaves out, at the inputs u and of their shape [output unit]."""
-        coefficients = np.atleast_1d(getattr(self, "polynomial", ()))
-        return (
-            np.polynomial.polynomial.polyval(np.asarray(u, float), coefficients) if coefficients.size else 0.0
-        )
+        value: Any = 0.0
+        for coefficient in reversed(getattr(self, "polynomial", ())):
+            value = value * u + coefficient
+        return value
 
     def settle(self, u: float, saturation: Saturation = "lower") -> Floats:
         """Return the memory (memory_size,) after saturation and a monotone move to the input u.
@@ -116,15 +117,15 @@ class Law(ABC):
         ValueError : u is not finite, or a memory of the wrong length.
         """
         v = float(u)
-        if not -np.inf < v < np.inf:
+        if not -math.inf < v < math.inf:
             finite_array(u, "u", ndim=0)
         self._fits(memory)
-        return float(type(self).move(v, self.packed, memory, True) + self.polynomial_part(v))
+        return float(self.move(v, self.packed, memory, True) + self.polynomial_part(v))
 
     def peek(self, u: float, memory: Floats) -> float:
         """Return the output that `step` would give; `memory` stays as it is."""
         self._fits(memory)
-        return float(type(self).move(float(u), self.packed, memory, False) + self.polynomial_part(u))
+        return float(self.move(float(u), self.packed, memory, False) + self.polynomial_part(float(u)))
 
     def run(self, u: ArrayLike, memory: Floats | None = None) -> Floats:
         """Return the outputs (n,) along the inputs u (n,); `memory` changes in place, None starts in lower saturation.
@@ -137,7 +138,7 @@ class Law(ABC):
         state = self.initial_memory() if memory is None else memory
         self._fits(state)
         out = np.empty_like(inputs)
-        type(self).sweep(inputs, self.packed, state, out)
+        self.sweep(inputs, self.packed, state, out)
         return out + self.polynomial_part(inputs)
 
     def inverse(self, input_range: tuple[float, float] | None = None) -> Inverse:

@@ -29,6 +29,11 @@ LAWS: Mapping[str, type[Law]] = {**FILED, CPI.name: CPI, GPI.name: GPI, EGPI.nam
 def law_from_parameters(section: str, values: Mapping[str, Value]) -> Law:
     """Return the law that `Law.to_parameters` wrote; without `section.law` it is a bank of plays.
 
+    Parameters
+    ----------
+    section : such as `model.resistance`
+    values : name -> value of the model file
+
     Raises
     ------
     ValueError : a law that does not exist, or a parameter that is missing or not allowed; the message names it.
@@ -55,7 +60,7 @@ def law_parameters(section: str, what: str, unit: str) -> tuple[Parameter, ...]:
 
 
 def bank_parameters(section: str, what: str, unit: str) -> tuple[Parameter, ...]:
-    """Return the `Parameter` records of a bank of plays over a temperature."""
+    """Return the `Parameter` records of a bank of plays over a temperature: `section`, `what`, `unit` as there."""
     return _records(section, what, unit, (PlayBank,))
 
 

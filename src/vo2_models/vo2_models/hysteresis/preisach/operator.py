@@ -190,6 +190,19 @@ class PreisachOperator(Law):
         """Input that the memory was last moved to, within the grid."""
         return float(memory[1])
 
+    def step(self, u: float, memory: Floats) -> float:
+        """Move one device to the input u and return the output; `memory` (memory_size,) changes in place.
+
+        Raises
+        ------
+        ValueError : u is NaN, or a memory of the wrong length.
+        """
+        self._fits(memory)
+        output: float = kernels.step(u, memory, *self.compiled)
+        if output != output:
+            finite_array(u, "u", ndim=0)
+        return output
+
     def step_devices(self, v: ArrayLike, memory: Floats) -> Floats:
         """Apply one input to each device and return the outputs (devices,); `memory` changes in place.
 

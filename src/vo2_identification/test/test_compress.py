@@ -1,0 +1,147 @@
+"""`compress`: a model file in, a smaller one out that the estimator loads; bad input in one line."""
+
+import numpy as np
+import pytest
+from vo2_identification.compress import main
+from vo2_models.device.model import DeviceModel
+from vo2_models.hysteresis import PlayBank, PreisachOperator
+from vo2_models.model_file import load_model_parameters, save_model_parameters
+from vo2_models.self_sensing.direct_preisach import DirectPreisachSelfSensing
+from vo2_models.self_sensing.scheme import self_sensing
+
+TEMPERATURE = np.interp(
+    np.arange(0, 12, 0.01), np.arange(13), [25, 95, 25, 85, 40, 80, 45, 75, 50, 70, 55, 90, 25]
+)
+
+
+def _bank(plays, weight, polynomial, own=True):
+    """Half a dozen domains a play: wide loops of one pair of envelopes, or one pair for each play."""
+    k = np.arange(plays)
+    slope, centre = np.full(plays, 0.25), 60.0 + own * (1.5 * k - plays)
+    radii = np.zeros(plays) if own else 0.8 * k / plays
+    weights = weight * (1.0 + np.sin(k)) + weight
+    return PlayBank(
+        weights, radii, slope, -slope * (centre + 4.0), slope, -slope * (centre - 4.0), polynomial
+    )
+
+
+@pytest.fixture
+def model(tmp_path):
+    device = DeviceModel(
+        "integrated",
+        resistance=_bank(8, 0.1, [-4.7, 0.001]),
+        deflection=_bank(6, 4e-6, [3e-5, -1e-7], own=False),
+        uncertainty={"resistance.weights": (0.01,) * 8, "thermal.time_constant": (1e-4,)},
+    )
+    resistance = 10.0 ** -device.resistance.run(TEMPERATURE)
+    deflection = device.deflection.run(TEMPERATURE)
+    direct = DirectPreisachSelfSensing.fit(resistance, deflection, level=16)
+    save_model_parameters(tmp_path / "model.yaml", device.to_parameters() | direct.to_parameters())
+    return tmp_path / "model.yaml", resistance, deflection
+
+
+def test_fewer_plays_load_into_the_plant_and_stay_near(model, tmp_path, capsys):
+    path, resistance, deflection = model
+    assert main(["--model", str(path), "--output", str(tmp_path / "small.yaml"), "--plays", "4"]) == 0
+    said = capsys.readouterr().out
+    assert "model.resistance: 8 plays to 4, output changed by at most" in said
+    assert "model.deflection: 6 plays to 4" in said
+    small = DeviceModel.load(tmp_path / "small.yaml")
+    for section, wanted in (("resistance", -np.log10(resistance)), ("deflection", deflection)):
+        law = getattr(small, section)
+        assert np.size(law.weights) == 4
+        assert np.max(np.abs(law.run(TEMPERATURE) - wanted)) < 0.05 * np.ptp(wanted)
+    # deviations of parameters that are gone are gone, the others stay
+    assert set(small.uncertainty) == {"thermal.time_constant"}
+    assert (
+        load_model_parameters(tmp_path / "small.yaml")["model.self_sensing.preisach.weights"]
+        == load_model_parameters(path)["model.self_sensing.preisach.weights"]
+    )
+
+
+def test_a_coarser_grid_loads_into_the_estimator_and_stays_near(model, tmp_path, capsys):
+    path, resistance, deflection = model
+    assert main(["--model", str(path), "--output", str(tmp_path / "small.yaml"), "--levels", "6"]) == 0
+    assert "model.self_sensing.preisach: 16 levels to 6" in capsys.readouterr().out
+    parameters = load_model_parameters(tmp_path / "small.yaml")
+    assert np.size(parameters["model.self_sensing.preisach.walls"]) == 7
+    assert np.size(parameters["model.self_sensing.preisach.weights"]) == 21
+    scheme = self_sensing("preisach", parameters)
+    state = scheme.initial_state()
+    estimate = np.array([scheme.step(r, state)[0] for r in resistance])
+    assert np.mean(np.abs(estimate - deflection)) < 0.05 * np.ptp(deflection)
+
+
+def test_a_preisach_law_of_a_response_is_compressed_too(tmp_path):
+    operator = PreisachOperator(np.linspace(40.0, 80.0, 13), np.full(78, 0.01), 0.5)
+    save_model_parameters(tmp_path / "model.yaml", operator.to_parameters("model.resistance"))
+    assert (
+        main(["--model", str(tmp_path / "model.yaml"), "--output", str(tmp_path / "s.yaml"), "--levels", "4"])
+        == 0
+    )
+    small = PreisachOperator.from_parameters("model.resistance", load_model_parameters(tmp_path / "s.yaml"))
+    assert small.level == 4
+    # a density that is the same everywhere loses nothing
+    assert small.run(TEMPERATURE) == pytest.approx(operator.run(TEMPERATURE), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--plays", "8"], "plays: found 8, need 1 to 7: the largest bank has 8"),
+        (["--plays", "0"], "plays: found 0, need 1 to 7"),
+        (["--levels", "16"], "levels: found 16, need 1 to 15: the finest grid has 16"),
+    ],
+)
+def test_too_many_are_refused_in_one_line(model, tmp_path, capsys, arguments, message):
+    assert main(["--model", str(model[0]), "--output", str(tmp_path / "s.yaml"), *arguments]) == 2
+    assert not (tmp_path / "s.yaml").exists()
+    error = capsys.readouterr().err
+    assert error.startswith(f"compress: {message}") and error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "arguments", "message"),
+    [
+        (
+            "model.self_sensing.preisach.walls",
+            None,
+            ["--levels", "4"],
+            "model.self_sensing.preisach.walls: found",
+        ),
+        (
+            "model.resistance.rising_slopes",
+            -0.25,
+            ["--plays", "4"],
+            "model.resistance.rising_slope: found -0.25",
+        ),
+        (
+            "model.resistance.weights",
+            -1.0,
+            ["--plays", "4"],
+            "model.resistance.weights: found -1, need weights >= 0",
+        ),
+    ],
+)
+def test_what_is_not_monotone_is_named(model, tmp_path, capsys, name, value, arguments, message):
+    values = load_model_parameters(model[0])
+    numbers = np.array(values[name])
+    numbers[2] = numbers[1] if value is None else value
+    save_model_parameters(tmp_path / "bad.yaml", values | {name: numbers.tolist()})
+    assert (
+        main(["--model", str(tmp_path / "bad.yaml"), "--output", str(tmp_path / "s.yaml"), *arguments]) == 2
+    )
+    error = capsys.readouterr().err
+    assert error.startswith(f"compress: {message}") and error.count("\n") == 1
+
+
+def test_missing_files_and_laws_are_named(tmp_path, capsys):
+    assert main(["--model", str(tmp_path / "none.yaml"), "--output", "x.yaml", "--plays", "2"]) == 2
+    assert "none.yaml: cannot be read" in capsys.readouterr().err
+    save_model_parameters(tmp_path / "bare.yaml", {"model.device": "integrated"})
+    for arguments, what in ((["--plays", "2"], "no bank of plays"), (["--levels", "2"], "no Preisach grid")):
+        assert (
+            main(["--model", str(tmp_path / "bare.yaml"), "--output", str(tmp_path / "x.yaml"), *arguments])
+            == 2
+        )
+        assert what in capsys.readouterr().err

@@ -1,0 +1,69 @@
+"""`compress`: a model file with fewer plays, or coarser Preisach grids."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+__all__ = ["main"]
+
+_DESCRIPTION = """
+Compress the hysteresis laws of a model file, so that a small processor can follow them: --plays merges the plays of
+every bank that has more (chapter 3), --levels the cells of every Preisach grid that is finer (chapter 2). The result
+loads into estimator, plant and controller like any other model file.
+"""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit status: 0, 2 on bad input.
+
+    Parameters
+    ----------
+    args : command line, None for that of the process
+    """
+    options = _parser().parse_args(args)
+    from vo2_models.hysteresis.compress_model import compress_levels, compress_plays_of
+    from vo2_models.model_file import load_model_parameters, save_model_parameters
+
+    try:
+        values = load_model_parameters(options.model)
+        if options.plays is not None:
+            what = "plays"
+            found, changes = compress_plays_of(values, options.plays)
+        else:
+            what = "levels"
+            found, changes = compress_levels(values, options.levels)
+        lines = [
+            f"{c.section}: {c.before} {what} to {c.after}, output changed by at most {100 * c.error:.2g} % of its range"
+            for c in changes
+        ]
+        save_model_parameters(options.output, found, comment="\n".join(["compressed", *lines]))
+    except ValueError as error:
+        print(f"compress: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(
+            f"compress: {options.output}: cannot be written ({error.strerror or error}); name another",
+            file=sys.stderr,
+        )
+        return 2
+    print("\n".join(lines))
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="compress", description=_DESCRIPTION)
+    parser.add_argument("--model", required=True, type=Path, metavar="MODEL.yaml", help="model file of `fit`")
+    parser.add_argument(
+        "--output", required=True, type=Path, metavar="MODEL.yaml", help="model file to write"
+    )
+    size = parser.add_mutually_exclusive_group(required=True)
+    size.add_argument("--plays", type=int, metavar="N", help="plays to keep in each bank")
+    size.add_argument("--levels", type=int, metavar="N", help="levels to keep in each Preisach grid")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

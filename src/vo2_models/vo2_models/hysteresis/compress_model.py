@@ -1,0 +1,179 @@
+"""Fewer plays or coarser Preisach grids in a model file, chapters 2 and 3."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.hysteresis.compression_gpi import compress as compress_plays
+from vo2_models.hysteresis.envelopes import TanhEnvelopes
+from vo2_models.hysteresis.fitting_gpi import fit_play_model
+from vo2_models.hysteresis.play_bank import PlayBank
+from vo2_models.hysteresis.prandtl_ishlinskii import GPI
+from vo2_models.hysteresis.preisach.compression import compress as compress_grid
+from vo2_models.hysteresis.preisach.grid import cell_areas, pack
+from vo2_models.hysteresis.preisach.operator import PreisachOperator
+from vo2_models.identification.excitation import damped_oscillation
+from vo2_models.parameters import Value
+
+__all__ = ["Change", "compress_levels", "compress_plays_of"]
+
+Floats = NDArray[np.float64]
+
+SATURATED = 3.0
+"""Argument of a tanh envelope from which on it counts as saturated: tanh 3 = 0.995."""
+PROBE_LEVEL = 24
+"""Level of the damped oscillation on which a law and its compression are compared."""
+MOST_CHOICES = 10**9
+"""Choices of walls up to which the complete enumeration takes a minute or so."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """What became of one law of a model file.
+
+    Attributes
+    ----------
+    section : such as `model.resistance`
+    before, after : plays or levels
+    error : largest change of the output over a damped oscillation, as a share of its range
+    """
+
+    section: str
+    before: int
+    after: int
+    error: float
+
+
+def compress_plays_of(values: Mapping[str, Value], plays: int) -> tuple[dict[str, Value], tuple[Change, ...]]:
+    """Return the parameters of a model file with at most `plays` plays in each bank, and what was changed.
+
+    A bank with one pair of envelopes is compressed by the entropy-optimal partition (3.9). Where each play has its own
+    pair that partition does not exist; then as many plays are fitted to the bank's own output.
+
+    Parameters
+    ----------
+    values : name -> value, as `load_model_parameters` reads them
+    plays : to keep in each bank, fewer than the largest has
+
+    Raises
+    ------
+    ValueError : no bank, not so many plays in any, or a bank that is not monotone; the message names the section.
+    """
+    banks = {
+        name.removesuffix(".rising_slopes"): np.size(values[name])
+        for name in sorted(values)
+        if name.endswith(".rising_slopes")
+    }
+    most = max(banks.values(), default=0)
+    if most == 0:
+        raise ValueError("plays: found no bank of plays in the model, need one; or give --levels")
+    if not 1 <= plays < most:
+        raise ValueError(f"plays: found {plays}, need 1 to {most - 1}: the largest bank has {most}")
+    found, changes = dict(values), []
+    for section, count in banks.items():
+        if count <= plays:
+            continue
+        bank = PlayBank.from_parameters(section, values)
+        try:
+            smaller, error = _fewer(bank, plays)
+        except ValueError as problem:
+            raise ValueError(f"{section}.{problem}") from problem
+        found |= smaller.to_parameters(section)
+        changes.append(Change(section, count, plays, error))
+    return _without_uncertainty(found, changes), tuple(changes)
+
+
+def compress_levels(values: Mapping[str, Value], level: int) -> tuple[dict[str, Value], tuple[Change, ...]]:
+    """Return the parameters of a model file with Preisach grids of the level, least loss first (2.4), and what was changed.
+
+    Parameters
+    ----------
+    values : name -> value, as `load_model_parameters` reads them
+    level : of the grids to keep, below that of the finest
+
+    Raises
+    ------
+    ValueError : no Preisach grid, not so many levels in any, walls that do not increase, densities below zero, or a choice
+        of walls too large to enumerate; the message names the section.
+    """
+    grids = {
+        name.removesuffix(".walls"): np.size(values[name]) - 1
+        for name in sorted(values)
+        if name.endswith(".walls")
+    }
+    most = max(grids.values(), default=0)
+    if most == 0:
+        raise ValueError("levels: found no Preisach grid in the model, need one; or give --plays")
+    if not 1 <= level < most:
+        raise ValueError(f"levels: found {level}, need 1 to {most - 1}: the finest grid has {most}")
+    found, changes = dict(values), []
+    for section, before in grids.items():
+        if before <= level:
+            continue
+        if comb(before - 1, level - 1) > MOST_CHOICES:
+            raise ValueError(
+                f"{section}.walls: found {comb(before - 1, level - 1):.1e} choices of {level} from {before} levels, "
+                f"need at most {MOST_CHOICES:.0e}; ask for fewer levels"
+            )
+        # self-sensing keeps the integrals over the cells, a law of a response the density
+        kind = "weights" if f"{section}.weights" in values else "density"
+        try:
+            walls = np.asarray(values[f"{section}.walls"], dtype=np.float64)
+            cells = np.asarray(values[f"{section}.{kind}"], dtype=np.float64)
+            make = PreisachOperator.from_weights if kind == "weights" else PreisachOperator
+            operator = make(walls, cells)
+            coarse = compress_grid(operator, level, "sum").operator
+        except ValueError as problem:
+            raise ValueError(f"{section}.{problem}") from problem
+        probe = damped_oscillation(operator.walls)
+        output = operator(probe)
+        error = float(np.max(np.abs(coarse(probe) - output)) / max(float(np.ptp(output)), 1e-300))
+        masses = pack(coarse.weights)
+        found[f"{section}.walls"] = coarse.walls.tolist()
+        found[f"{section}.{kind}"] = (
+            masses if kind == "weights" else masses / pack(cell_areas(coarse.walls))
+        ).tolist()
+        changes.append(Change(section, before, level, error))
+    return _without_uncertainty(found, changes), tuple(changes)
+
+
+def _fewer(bank: PlayBank, plays: int) -> tuple[PlayBank, float]:
+    """Return a bank with fewer plays, and the largest change over a damped oscillation as a share of the range."""
+    model = bank.egpi()
+    slopes = np.concatenate([bank.rising_slopes, bank.falling_slopes])
+    offsets = np.concatenate([bank.rising_offsets, bank.falling_offsets])
+    low = float(np.min((-SATURATED - offsets) / slopes))
+    high = float(np.max((SATURATED - offsets) / slopes))
+    probe = damped_oscillation(np.linspace(low, high, PROBE_LEVEL + 1))
+    path = np.interp(np.linspace(0, probe.size - 1, 4 * probe.size), np.arange(probe.size), probe)
+    names = ("rising_slopes", "rising_offsets", "falling_slopes", "falling_offsets")
+    pairs = [np.asarray(getattr(bank, name)) for name in names]
+    shared = all(np.ptp(pair) == 0.0 for pair in pairs) and bool(np.all(np.diff(np.asarray(bank.radii)) > 0))
+    wanted = model.simulate(path)[0]
+    smooth = model.memoryless(path)
+    if shared:
+        plain = GPI(model.radii, model.weights, TanhEnvelopes(*(pair[0] for pair in pairs)), model.bias)
+        smaller = compress_plays(plain, plays, input_range=(low, high)).model
+    else:
+        if np.any(np.asarray(bank.weights) < 0):
+            raise ValueError(f"weights: found {np.min(bank.weights):g}, need weights >= 0 to compress")
+        smaller = fit_play_model(
+            path, wanted - smooth, plays=plays, per_play=plays > 1, initial="lower", max_evaluations=60
+        ).model
+    found = smaller.bank()
+    polynomial = np.array(bank.polynomial, dtype=np.float64)
+    polynomial[0] = smaller.bias
+    found = replace(found, polynomial=polynomial)
+    change = found.run(path) - wanted
+    return found, float(np.max(np.abs(change)) / max(float(np.ptp(wanted - smooth)), 1e-300))
+
+
+def _without_uncertainty(values: dict[str, Value], changes: list[Change]) -> dict[str, Value]:
+    """Standard deviations belong to the parameters that were fitted, not to those of a compression."""
+    stale = tuple(f"model.uncertainty.{c.section.removeprefix('model.')}." for c in changes)
+    return {name: value for name, value in values.items() if not (stale and name.startswith(stale))}
