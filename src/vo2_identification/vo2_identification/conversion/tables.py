@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import struct
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -183,7 +184,10 @@ def _sheet(path: Path, wanted: str | None) -> tuple[str, list[Sequence[Any]]]:
     check_regular(path, _MOST_BYTES)
     _check_archive(path)
     try:
-        book = load_workbook(path, read_only=True, data_only=True)
+        with warnings.catch_warnings():
+            # it warns of parts that it leaves out, such as print settings: nothing that a table needs
+            warnings.simplefilter("ignore", UserWarning)
+            book = load_workbook(path, read_only=True, data_only=True)
         try:
             if wanted is not None and wanted not in book.sheetnames:
                 raise MapError(

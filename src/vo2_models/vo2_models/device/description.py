@@ -20,6 +20,7 @@ from vo2_models.device.description_file import (
     check_document,
     read_device_file,
 )
+from vo2_models.io import InputError
 from vo2_models.parameters import Parameter, Value
 from vo2_models.recording import (
     COMMANDED_CURRENT,
@@ -252,7 +253,10 @@ def preset(name: str | Path) -> DeviceDescription:
         raise ValueError(
             f"device: found {text!r}, need one of {', '.join(PRESETS)}, or the path of a device file"
         )
-    return described(read_device_file(path), str(path))
+    try:
+        return described(read_device_file(path), str(path))
+    except ValueError as error:
+        raise InputError(str(error)) from error  # in one line, whatever the file holds
 
 
 @lru_cache(maxsize=16)
