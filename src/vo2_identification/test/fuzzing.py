@@ -29,6 +29,7 @@ from vo2_identification import convert
 
 __all__ = ["READERS", "Hang", "survive"]
 
+_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 _LONGEST_CPU_S = 5.0
 _LONGEST_WALL_S = 120  # a reader that waits: the machine may be busy
 _NUMBERS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 1 << 40, (1 << 63) - 1, (1 << 64) - 1)
@@ -211,11 +212,15 @@ def mutated_tree(tree: Any, chance: random.Random) -> Any:
     return chance.choice(_VALUES)
 
 
+def _dump(tree: Any, *, flow: bool | None = None) -> bytes:
+    return yaml.dump(tree, Dumper=_DUMPER, sort_keys=False, default_flow_style=flow).encode()
+
+
 def mutated_yaml(tree: Any, chance: random.Random) -> bytes:
     """Return a YAML text of the document, mutated as a tree, as a text, or both."""
     if chance.random() < 0.6:
         tree = mutated_tree(tree, chance)
-    text = yaml.safe_dump(tree, sort_keys=False, default_flow_style=chance.choice((None, True))).encode()
+    text = _dump(tree, flow=chance.choice((None, True)))
     return mutated(text, chance, _MARKS) if chance.random() < 0.6 else text
 
 
@@ -237,15 +242,15 @@ class _Bags:
                 chunk=7 * (storage == "mcap"),
             )
             (file,) = (each for each in bag.iterdir() if each.name != "metadata.yaml")
-            self.bags.append(
-                (file, file.read_bytes(), bag / "metadata.yaml", (bag / "metadata.yaml").read_bytes())
-            )
+            metadata = bag / "metadata.yaml"
+            text = metadata.read_bytes()
+            self.bags.append((file, file.read_bytes(), metadata, text, yaml.safe_load(text)))
 
     def __call__(self, chance: random.Random) -> None:
-        file, content, metadata, text = self.bags[min(int(chance.expovariate(0.5)), len(self.bags) - 1)]
+        file, content, metadata, text, tree = self.bags[min(int(chance.expovariate(0.5)), len(self.bags) - 1)]
         described = chance.random() < 0.2
         file.write_bytes(content if described else mutated(content, chance))
-        metadata.write_bytes(mutated_yaml(yaml.safe_load(text), chance) if described else text)
+        metadata.write_bytes(mutated_yaml(tree, chance) if described else text)
         if chance.random() < 0.8:
             read_recording(file.parent)
         else:
@@ -294,7 +299,7 @@ class _Tables:
             tree |= {"format": "csv"}
         mutated_table = self.form != "map"
         table.write_bytes(_mutated_table(self.sound, self.form, chance) if mutated_table else self.sound)
-        path.write_bytes(yaml.safe_dump(tree).encode() if mutated_table else mutated_yaml(tree, chance))
+        path.write_bytes(_dump(tree) if mutated_table else mutated_yaml(tree, chance))
         output = self.folder / "out" / "bag"
         said = io.StringIO()
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):

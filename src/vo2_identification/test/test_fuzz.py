@@ -35,8 +35,8 @@ def attack(folder, name: str, first: int, count: int) -> int:
 
 @pytest.mark.parametrize("name", READERS)
 def test_malformed_input_is_survived(tmp_path, name):
-    taken = attack(tmp_path, name, 0, 100)
-    assert 0 < taken < 100  # the mutations neither leave everything sound nor damage everything
+    taken = attack(tmp_path, name, 0, 60)
+    assert 0 < taken < 60  # the mutations neither leave everything sound nor damage everything
 
 
 @pytest.mark.slow
@@ -78,7 +78,7 @@ def refused_in_a_line(call: Callable[[], object]) -> None:
         assert str(error).isprintable() and 0 < len(str(error)) <= 600
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.text(max_size=200) | st.binary(max_size=200) | st.text("[]{}&*!:-? \n'\"|>%@ab0", max_size=60))
 def test_any_text_is_yaml_or_refused(text):
     refused_in_a_line(lambda: load_yaml(text, "given"))
@@ -91,13 +91,13 @@ def test_any_text_is_yaml_or_refused(text):
 )
 def test_any_bytes_are_a_bag_or_refused(tmp_path_factory, content, storage):
     ending, magic = storage
-    file = tmp_path_factory.mktemp("any") / f"bag_0{ending}"
+    file = tmp_path_factory.getbasetemp() / f"any_0{ending}"
     for data in (content, magic + content):
         file.write_bytes(data)
         refused_in_a_line(lambda: read_recording(file))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(documents)
 def test_any_document_is_a_device_file_a_model_a_map_or_refused(tmp_path_factory, document):
     import yaml
@@ -105,7 +105,7 @@ def test_any_document_is_a_device_file_a_model_a_map_or_refused(tmp_path_factory
     from vo2_models.device.description import preset
     from vo2_models.model_file import load_model_parameters
 
-    file = tmp_path_factory.mktemp("any") / "any.yaml"
+    file = tmp_path_factory.getbasetemp() / "any.yaml"
     file.write_text(yaml.safe_dump(document))
     for read in (read_map, load_model_parameters, preset):
         try:
