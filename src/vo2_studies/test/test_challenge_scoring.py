@@ -105,6 +105,25 @@ def test_lines_count_their_kinds_and_say_what_is_wanted():
     assert figures(weak) == []
 
 
+def test_a_case_without_diagnosis_is_no_success():
+    failed = [
+        case(
+            kind,
+            *truth,
+            first=FAILED,
+            failure="fit: exit status 2",
+            alarm=False,
+            both=False,
+            either=False,
+            extra=False,
+        )
+        for kind, truth in (("none", ()), ("two", ("creep", "dead_time")), ("always", ("creep",)))
+    ]
+    lines = {figure.key: figure.rate for figure in figures(failed)}
+    assert lines["two_both"] == 0.0
+    assert not {"unchanged_any_name", "two_wrong_name", "always_wrong_name"} & set(lines)
+
+
 def test_reliability_bins_hold_stated_and_true_shares():
     cases = [one("creep", True, stated=((0.97, True),))] * 9 + [
         one("creep", False, stated=((0.97, False), (0.4, True)))

@@ -36,7 +36,7 @@ LINES = (
         "unchanged_any_name",
         "unchanged, same day and others: any name",
         ("none", "day"),
-        lambda j: j.alarm,
+        lambda j: None if j.failure else j.alarm,
         0.02,
         "most",
     ),
@@ -67,10 +67,24 @@ LINES = (
         0.85,
         "least",
     ),
-    Line("always_wrong_name", "there all along: a wrong name", ("always",), lambda j: j.wrong, 0.03, "most"),
+    Line(
+        "always_wrong_name",
+        "there all along: a wrong name",
+        ("always",),
+        lambda j: None if j.failure else j.wrong,
+        0.03,
+        "most",
+    ),
     Line("two_both", "two effects: both", ("two",), lambda j: j.both, 0.80, "least"),
     Line("two_one", "two effects: at least one", ("two",), lambda j: j.either, 0.97, "least"),
-    Line("two_wrong_name", "two effects: a wrong name besides", ("two",), lambda j: j.extra, 0.05, "most"),
+    Line(
+        "two_wrong_name",
+        "two effects: a wrong name besides",
+        ("two",),
+        lambda j: None if j.failure else j.extra,
+        0.05,
+        "most",
+    ),
     Line(
         "outside_unknown_family",
         "outside: unknown, with the right family",
@@ -79,7 +93,14 @@ LINES = (
         0.90,
         "least",
     ),
-    Line("outside_wrong_name", "outside: a wrong name", ("outside",), lambda j: j.wrong, 0.03, "most"),
+    Line(
+        "outside_wrong_name",
+        "outside: a wrong name",
+        ("outside",),
+        lambda j: None if j.failure else j.wrong,
+        0.03,
+        "most",
+    ),
     Line(
         "beside_first_name",
         "beside a moved constant: right first name",
@@ -90,7 +111,9 @@ LINES = (
     ),
     Line("verdict", "verdict right", KINDS, lambda j: j.verdict, 0.95, "least"),
 )
-"""The last two are ours: wanted is what is asked of a change, and of names."""
+"""A case without diagnosis is wrong wherever something is to be found, and left out where a name would be wrong.
+
+The last two are ours: wanted is what is asked of a change, and of names."""
 
 
 @dataclass(frozen=True)
