@@ -8,6 +8,7 @@ from vo2_estimation.estimator_node import EstimatorNode
 from vo2_interface.model import model_parameters
 from vo2_interface.parameters import ros_parameters
 from vo2_interface.testing import bench
+from vo2_models.device import truth
 from vo2_models.self_sensing import PolynomialSelfSensing, self_sensing
 
 CHANNELS = ("tip_deflection", "temperature_surrogate", "tip_deflection_bound")
@@ -185,3 +186,62 @@ def test_another_sample_period_than_that_of_the_dynamics_is_told_and_taken_back(
         rig.until(lambda: "samples come every 0.002 s" in rig.status("estimator: period")[0])
         answer(rig, 23 * MS, {"film_resistance": 1e5})
         rig.until(lambda: "as the model" in rig.status("estimator: period")[0])
+
+
+def faulty(rng, count):
+    """Numbers of 0 to `count` - 1 as a bad link delivers them: a fifth lost, doubled, late or in the wrong order."""
+    arriving = []
+    for k in range(count):
+        fault = rng.choice(["none", "lost", "doubled", "late", "swapped"], p=[0.8, 0.05, 0.05, 0.05, 0.05])
+        if fault == "lost":
+            continue
+        arriving.append((k, k))
+        if fault == "doubled":
+            arriving.append((k, k))
+        elif fault == "late":
+            arriving.append((k + rng.uniform(1.0, 60.0), k))
+        elif fault == "swapped":
+            arriving[-1] = (k + 1.5, k)
+    return [k for _, k in sorted(arriving)]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_with_a_fifth_of_the_samples_lost_doubled_late_or_out_of_order_the_bound_holds(seed):
+    rng = np.random.default_rng(seed)
+    currents = np.repeat(rng.uniform(3.68e-3, 8.49e-3, 120), 5)
+    ends = np.repeat([3.68e-3, 8.49e-3, 3.68e-3, 6e-3], 10)
+    recording = truth("integrated", seed=1, domains=1500).simulate(
+        np.concatenate([currents, ends]), seed=seed
+    )
+    resistance, true = recording["film_resistance"], recording["true_tip_deflection"]
+    model = dynamic(0.0)
+    whole, _ = self_sensing("composite", model).estimate(resistance)
+    arriving = [*faulty(rng, currents.size), *range(currents.size, resistance.size)]
+    with bench() as rig:
+        rig.hear("/vo2/estimate", CHANNELS)
+        node = rig.add(EstimatorNode)
+        with_model(node, model)
+        for k in arriving:
+            rig.say("/vo2/measurement", (1 + k) * MS, {"film_resistance": resistance[k]})
+            rig.spin(0.002)
+        rig.until(
+            lambda: rig.heard["/vo2/estimate"] and rig.heard["/vo2/estimate"][-1][0] == resistance.size * MS
+        )
+        statuses = {name for name, _, _ in rig.statuses}
+        rig.until(lambda: "known again" in rig.status("estimator: memory")[0])
+    # what is computed once is answered once more, and never anew
+    answers = dict(rig.heard["/vo2/estimate"])
+    assert len(set(rig.heard["/vo2/estimate"])) == len(answers)
+    stamps = [stamp for stamp, _ in rig.heard["/vo2/estimate"]]
+    assert stamps == sorted(stamps)
+    assert {"vo2/estimator: late", "vo2/estimator: memory"} <= statuses
+    places = np.array([stamp // MS - 1 for stamp in answers])
+    found, bounds = np.array([[v[0], v[2]] for v in answers.values()]).T
+    inside = np.mean(np.abs(found - true[places]) <= bounds)
+    undisturbed = np.mean(np.abs(np.asarray(whole.deflection) - true) <= np.asarray(whole.bound))
+    assert inside >= undisturbed, (inside, undisturbed)
+    assert np.max(bounds) > 3.0 * np.max(np.asarray(whole.bound)), "the bound grows"
+    # the ends of the major loop erase whatever was not seen
+    last = slice(-10, None)
+    np.testing.assert_allclose(found[last], np.asarray(whole.deflection)[last], atol=1e-12)
+    np.testing.assert_allclose(bounds[last], np.asarray(whole.bound)[last], atol=1e-12)

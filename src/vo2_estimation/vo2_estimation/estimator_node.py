@@ -21,8 +21,9 @@ from vo2_interface.topics import (
     MEASUREMENT,
     SAMPLE_QOS,
 )
+from vo2_models.device.description import preset as description
 from vo2_models.parameters import Parameter, Value
-from vo2_models.recording import HEATER_CURRENT, RESISTANCE
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION
 
 from vo2_estimation.resistance_check import ResistanceCheck, sensor_limits
 from vo2_estimation.schemes import SCHEMES, Scheme, make_scheme
@@ -64,6 +65,10 @@ ESTIMATOR_PARAMETERS = (
 )
 _NAN = float("nan")
 _BEAT_SAMPLES = 1000
+_GAP = 1.5
+"""Periods between two samples beyond which one was lost."""
+_STILL = 0.03
+"""Share of the body's time constant in which nothing happens that a hysteresis remembers."""
 _JITTER = 0.02
 """Relative deviation of the sample period from the model's that counts as another period."""
 _OFF_PERIOD_SAMPLES = 10
@@ -94,6 +99,9 @@ class EstimatorNode(Node):
         self._count = 0
         self._check: ResistanceCheck | None = None
         self._off_period = 0
+        self._used_ns: int | None = None
+        self._step_ns = 0
+        self._device = description(preset)
         self._reader = SampleReader((RESISTANCE, HEATER_CURRENT))
         self._writer = SampleWriter(ESTIMATE_CHANNELS, preset)
         self._answer = b""
@@ -122,6 +130,7 @@ class EstimatorNode(Node):
                 f"the stamp on {MEASUREMENT} jumped back: taken as a new recording of a cold device",
                 stamp_ns=stamp_ns,
             )
+            self._used_ns, self._step_ns = None, 0
             if self._scheme is not None:
                 self._scheme.restart()
         if self._scheme is not None and self._scheme.period_s:
@@ -181,7 +190,30 @@ class EstimatorNode(Node):
             return (_NAN,) * len(scheme.channels)
         if self._diagnostics.level("input") != "ok":
             self._diagnostics.report("input", "ok", f"{scheme.input_channel} is back", stamp_ns=stamp_ns)
-        return scheme.step(value)
+        self._bridge(scheme, stamp_ns)
+        values = scheme.step(value)
+        if scheme.known and self._diagnostics.level("memory") != "ok":
+            self._diagnostics.report(
+                "memory", "ok", "known again: an end of the major loop erased it", stamp_ns=stamp_ns
+            )
+        return values
+
+    def _bridge(self, scheme: Scheme, stamp_ns: int) -> None:
+        """Let the scheme know of samples that are missing since the last one that it has used."""
+        used_ns, self._used_ns = self._used_ns, stamp_ns
+        if used_ns is None:
+            return
+        step_ns = stamp_ns - used_ns
+        # lost samples make steps longer, nothing makes them shorter: the shortest is the period
+        self._step_ns = min(self._step_ns or step_ns, step_ns)
+        if step_ns > _GAP * self._step_ns and 1e-9 * step_ns > _STILL * self._device.time_constant:
+            scheme.bridge()
+            self._diagnostics.report(
+                "memory",
+                "warn",
+                f"samples on {MEASUREMENT} were lost: {TIP_DEFLECTION}_bound holds for any excursion meanwhile",
+                stamp_ns=stamp_ns,
+            )
 
     def _rebuild(self, stamp_ns: int | None = None) -> None:
         """Take over changed parameters; the memory starts at the cold device, where every recording starts."""
@@ -193,7 +225,9 @@ class EstimatorNode(Node):
             self._diagnostics.report("model", "warn", _NO_MODEL, stamp_ns=stamp_ns)
             return
         try:
-            self._scheme = make_scheme(kind, self._table.text("drive_channel"), given)
+            self._scheme = make_scheme(
+                kind, self._table.text("drive_channel"), given, self._device.resistance_range
+            )
             self._check = self._make_check(given)
         except ValueError as error:
             self._scheme = None

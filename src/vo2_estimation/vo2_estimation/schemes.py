@@ -13,6 +13,7 @@ from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.parameters import Value
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 from vo2_models.self_sensing import KINDS, self_sensing
+from vo2_models.self_sensing.memory import StreamingMemory
 
 __all__ = ["DRIVE", "SCHEMES", "DriveScheme", "ResistanceScheme", "Scheme", "make_scheme"]
 
@@ -50,6 +51,15 @@ class Scheme(Protocol):
         """Forget: the next sample comes from a cold device."""
         ...
 
+    def bridge(self) -> None:
+        """Samples before the next one were lost."""
+        ...
+
+    @property
+    def known(self) -> bool:
+        """Whether its memory is known: no lost sample can matter any more."""
+        ...
+
 
 class ResistanceScheme:
     """Self-sensing: deflection, temperature surrogate and bound from the film resistance."""
@@ -58,26 +68,27 @@ class ResistanceScheme:
     need = "finite ohm above 0"
     channels: tuple[str, ...] = ESTIMATE_CHANNELS
 
-    def __init__(self, kind: str, parameters: Mapping[str, Value]) -> None:
-        self._scheme = self_sensing(kind, parameters)
+    def __init__(
+        self, kind: str, parameters: Mapping[str, Value], resistance_range: tuple[float, float]
+    ) -> None:
+        scheme = self_sensing(kind, parameters)
         # only the scheme with dynamics has these; its module, with what it loads, stays where it is for the others
-        mode = getattr(self._scheme, "mode", None)
-        self.note: str = getattr(self._scheme, "note", "")
+        mode = getattr(scheme, "mode", None)
+        self.note: str = getattr(scheme, "note", "")
         self.period_s: float = mode.period if mode is not None else 0.0
-        self.restart()
+        self._memory = StreamingMemory(scheme, resistance_range)
+        self.restart = self._memory.restart
+        self.bridge = self._memory.bridge
+        self.step = self._memory.step
 
-    def restart(self) -> None:
-        """Forget: the next sample comes from a cold device."""
-        self._state = self._scheme.initial_state()
+    @property
+    def known(self) -> bool:
+        """Whether its memory is known: no lost sample can matter any more."""
+        return self._memory.known
 
     def usable(self, value: float) -> bool:
         """Whether the resistance [ohm] can be used."""
         return math.isfinite(value) and value > 0.0
-
-    def step(self, value: float) -> tuple[float, float, float]:
-        """Return (deflection [m], temperature surrogate [A], bound [m]) for the resistance [ohm]."""
-        deflection, _temperature, surrogate, bound = self._scheme.step(value, self._state)
-        return deflection, surrogate, bound
 
 
 class DriveScheme:
@@ -92,6 +103,7 @@ class DriveScheme:
     channels: tuple[str, ...] = (TIP_DEFLECTION, RESISTANCE)
     note = ""
     period_s = 0.0
+    known = True
 
     def __init__(self, drive: str, parameters: Mapping[str, Value]) -> None:
         self.input_channel = drive
@@ -107,6 +119,9 @@ class DriveScheme:
         """Forget: the next sample comes from lower saturation."""
         self._states = [law.initial_state() if law else np.empty(0) for law in self._laws]
 
+    def bridge(self) -> None:
+        """Samples before the next one were lost: it has no bound that could say so."""
+
     def usable(self, value: float) -> bool:
         """Whether the drive can be used."""
         return math.isfinite(value)
@@ -120,8 +135,15 @@ class DriveScheme:
         return deflection, 10.0**-resistance
 
 
-def make_scheme(kind: str, drive: str, parameters: Mapping[str, Value]) -> Scheme:
-    """Return the scheme `kind` for flat `model.*` parameters; `drive` names the input of kind `drive`.
+def make_scheme(
+    kind: str, drive: str, parameters: Mapping[str, Value], resistance_range: tuple[float, float]
+) -> Scheme:
+    """Return the scheme `kind` for flat `model.*` parameters.
+
+    Parameters
+    ----------
+    drive : input of kind `drive`
+    resistance_range : lowest and highest resistance of the device in use [ohm]
 
     Raises
     ------
@@ -129,7 +151,7 @@ def make_scheme(kind: str, drive: str, parameters: Mapping[str, Value]) -> Schem
     """
     if kind == DRIVE:
         return DriveScheme(drive, parameters)
-    return ResistanceScheme(kind, parameters)
+    return ResistanceScheme(kind, parameters, resistance_range)
 
 
 def _law(section: str, parameters: Mapping[str, Value]) -> EGPI | None:
