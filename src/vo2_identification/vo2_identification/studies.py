@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 
-__all__ = ["challenge", "measured", "reproduce"]
+__all__ = ["challenge", "examples", "measured", "reproduce"]
 
 
 def _command(name: str, module: str) -> Callable[[Sequence[str] | None], int]:
@@ -26,5 +26,6 @@ def _command(name: str, module: str) -> Callable[[Sequence[str] | None], int]:
 
 
 challenge = _command("challenge", "vo2_studies.challenge")
+examples = _command("examples", "vo2_studies.examples.command")
 measured = _command("measured", "vo2_studies.measured.command")
 reproduce = _command("reproduce", "vo2_studies.reproduce")

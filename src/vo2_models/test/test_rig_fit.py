@@ -72,10 +72,8 @@ def test_an_open_file_is_fitted_in_lag_loop_and_sense(sign):
     assert model.sensors[TIP_DEFLECTION].noise == pytest.approx(0.002 * np.ptp(values), rel=0.3)
     assert _error(model, drive, values) < 0.01
     misfit = model.sensors[TIP_DEFLECTION].misfit
-    held_out = (
-        model.simulate(drive, dt=0.01, noise=False, settled=True)[TIP_DEFLECTION][1000:] - values[1000:]
-    )
-    assert 0.3 < misfit / np.sqrt(np.mean(held_out**2)) < 3.0
+    # what is left of held-out blocks is more than noise, and no part of the loop
+    assert 0.8 * 0.002 * np.ptp(values) < misfit < 0.01 * np.ptp(values)
     assert parameters["model.sensors.tip_deflection.misfit"] == misfit
     assert not any("one rate" in note or "same size" in note for note in result.notes)
 

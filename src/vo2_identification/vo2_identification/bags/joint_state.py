@@ -66,11 +66,11 @@ class JointStates:
 
     Parameters
     ----------
-    channels : names that are kept
+    channels : names that are kept, None for all
     """
 
-    def __init__(self, channels: Collection[str]) -> None:
-        self._channels = frozenset(channels)
+    def __init__(self, channels: Collection[str] | None) -> None:
+        self._channels = None if channels is None else frozenset(channels)
         self._waiting: list[bytes] = []
         self._waiting_bytes = 0
         self._first = 0
@@ -146,7 +146,11 @@ class JointStates:
         seconds = _column(chosen, STAMP_AT, f"{order}i4").astype(np.int64)
         nanoseconds = _column(chosen, STAMP_AT + 4, f"{order}u4").astype(np.int64)
         # of a name that occurs twice the first one counts
-        columns = {name: k for k, name in reversed(list(enumerate(layout.names))) if name in self._channels}
+        columns = {
+            name: k
+            for k, name in reversed(list(enumerate(layout.names)))
+            if self._channels is None or name in self._channels
+        }
         names = tuple(sorted(columns, key=columns.__getitem__))
         values = np.empty((index[same].size, len(names)))
         for column, name in enumerate(names):

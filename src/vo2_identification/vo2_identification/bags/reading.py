@@ -87,7 +87,7 @@ def read_bag(
     *,
     namespace: str = "/vo2",
     roles: Sequence[str] = ROLES,
-    channels: Collection[str] = KNOWN_CHANNELS,
+    channels: Collection[str] | None = KNOWN_CHANNELS,
 ) -> tuple[dict[str, Recording], list[Problem]]:
     """Return the recordings of the given roles that the bag has, and what is wrong.
 
@@ -95,7 +95,7 @@ def read_bag(
     ----------
     path, namespace : as in `read_recording`
     roles : last parts of topic names
-    channels : names that are read
+    channels : names that are read, None for all
 
     Raises
     ------
@@ -162,7 +162,7 @@ def _topic_of(role: str, namespace: str, samples: dict[str, Samples], problems: 
 
 
 def _recording(
-    topic: str, samples: Samples, channels: Collection[str], problems: list[Problem], *, regular: bool
+    topic: str, samples: Samples, channels: Collection[str] | None, problems: list[Problem], *, regular: bool
 ) -> Recording:
     problems.extend(
         limited([Problem("malformed", topic, reason, index=k) for k, reason in samples.malformed])

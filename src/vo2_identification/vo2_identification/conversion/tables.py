@@ -7,6 +7,7 @@ decompressed, and at most 100 times its size), with lines of at most a million c
 from __future__ import annotations
 
 import csv
+import gzip
 import struct
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -140,12 +141,12 @@ def read_table(path: Path, column_map: ColumnMap) -> Table:
 
 def _text_rows(path: Path, column_map: ColumnMap) -> list[list[str]]:
     check_regular(path, _MOST_BYTES)
-    with path.open("rb") as binary:
+    with _opened(path, "rb") as binary:
         if binary.read(4) == _WORKBOOK:
             raise MapError(
                 f"{path}: found an .xlsx workbook, need a text table; or set format: xlsx in the map"
             )
-    with path.open(encoding=column_map.encoding, newline="") as file:
+    with _opened(path, "rt", encoding=column_map.encoding, newline="") as file:
         lines = _lines(file, path)
         if column_map.delimiter == "whitespace":
             return _limited((line.split() for line in lines), path)
@@ -176,6 +177,11 @@ def _limited(rows: Iterable[_Row], path: Path) -> list[_Row]:
             )
         taken.append(row)
     return taken
+
+
+def _opened(path: Path, mode: str, **text: Any) -> Any:
+    """Open a file as it is, or what a .gz file holds."""
+    return gzip.open(path, mode, **text) if path.suffix == ".gz" else path.open(mode.replace("t", ""), **text)
 
 
 def _sheet(path: Path, wanted: str | None) -> tuple[str, list[Sequence[Any]]]:

@@ -18,7 +18,7 @@ from scipy.optimize import nnls
 from vo2_models.hysteresis.fitting_kernels import regressors
 from vo2_models.identification.bank_fit import POLYNOMIAL_CENTRE, POLYNOMIAL_SCALE, BankShape
 
-__all__ = ["FOLDS", "DictionaryFit", "PlayDictionary", "fit_dictionary", "fold_of"]
+__all__ = ["FOLDS", "DictionaryFit", "PlayDictionary", "fit_dictionary", "fold_of", "nonnegative_weights"]
 
 Floats = NDArray[np.float64]
 FOLDS = 4
@@ -111,9 +111,10 @@ def fold_of(good: NDArray[np.bool_]) -> NDArray[np.int64]:
     good : (n,) whether a sample has a value
     """
     count = int(np.count_nonzero(good))
-    blocks = np.arange(count) * FOLDS * _BLOCKS_PER_FOLD // max(count, 1)
+    block = np.arange(count) * FOLDS * _BLOCKS_PER_FOLD // max(count, 1)
     fold = np.full(good.size, -1, dtype=np.int64)
-    fold[good] = blocks % FOLDS
+    # the order turns on after each round, so that recordings of equal length are not cut at the same places
+    fold[good] = (block + block // FOLDS) % FOLDS
     return fold
 
 
@@ -147,7 +148,7 @@ def fit_dictionary(
     centre = float(np.mean(values[rows]))
     target = values[rows] - centre
     plays = dictionary.centre.size
-    fold = np.arange(rows.size) * FOLDS * _BLOCKS_PER_FOLD // rows.size % FOLDS
+    fold = fold_of(np.ones(rows.size, dtype=np.bool_))
     grams = [columns[fold == k].T @ columns[fold == k] for k in range(FOLDS)]
     rights = [columns[fold == k].T @ target[fold == k] for k in range(FOLDS)]
     gram, right = sum(grams), sum(rights)
@@ -156,7 +157,7 @@ def fit_dictionary(
     def solved(normal: Floats, side: Floats, ridge: float) -> Floats:
         damped = normal.copy()
         damped[np.diag_indices_from(damped)] += ridge * size
-        return _nonnegative(damped, side, plays)
+        return nonnegative_weights(damped, side, plays)
 
     tried = []
     for ridge in _RIDGES:
@@ -174,7 +175,7 @@ def fit_dictionary(
     return DictionaryFit(dictionary, weights[:plays], polynomial, misfit, held_out)
 
 
-def _nonnegative(normal: Floats, right: Floats, bounded: int) -> Floats:
+def nonnegative_weights(normal: Floats, right: Floats, bounded: int) -> Floats:
     """Minimise x'Nx/2 - r'x with the first `bounded` elements not negative; N (n, n) positive definite.
 
     The free elements are eliminated; the rest is least squares with the Cholesky factor, by Lawson and Hanson's active

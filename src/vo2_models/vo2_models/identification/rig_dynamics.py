@@ -30,7 +30,7 @@ _LAGS = 2.0 ** np.arange(-1, 9)
 _DELAYS = (1, 2, 3, 4, 6, 8, 12, 16)
 """Lags and delays tried first, in sample periods."""
 _STEPS = (0.7, 0.85, 1.15, 1.4)
-_COARSE = {"centres": 12, "widths": 7}
+_COARSE, _FINE = {"centres": 12, "widths": 7}, {"centres": 20, "widths": 10}
 _SAMPLES = 2500
 
 
@@ -100,9 +100,9 @@ def choose_dynamics(
     rates : whether the drive has different rates; at one rate a lag is a wider loop, and none is looked for
     """
     low, high = sorted(device.steady_temperature(v) for v in device.operating_range)
-    plays = PlayDictionary.over(low, high, **_COARSE)
+    coarse, fine = (PlayDictionary.over(low, high, **grid) for grid in (_COARSE, _FINE))
 
-    def tried(dynamics: RigDynamics) -> RigDynamics:
+    def tried(dynamics: RigDynamics, plays: PlayDictionary = coarse) -> RigDynamics:
         path = loop_path(grids, device, dynamics)
         fits = [
             fit_dictionary(plays, path, y, degree=dynamics.degree, most=_SAMPLES) for y in values.values()
@@ -124,4 +124,6 @@ def choose_dynamics(
     for _ in range(2 if lagged.lag else 0):
         finer = [tried(replace(lagged, lag=lagged.lag * step)) for step in _STEPS]
         lagged = min([lagged, *finer], key=lambda one: one.score)
-    return min(lagged, best(found, delays), key=lambda one: one.score)
+    delayed = best(found, delays)
+    # coarse plays tell that there is one, but hardly which
+    return min((tried(one, fine) for one in dict.fromkeys((lagged, delayed))), key=lambda one: one.score)

@@ -21,7 +21,6 @@ from vo2_models.identification.loops_fit import SECTIONS, film_path
 from vo2_models.identification.noise import residual_colour
 from vo2_models.identification.play_dictionary import (
     FOLDS,
-    DictionaryFit,
     PlayDictionary,
     fit_dictionary,
     fold_of,
@@ -32,13 +31,14 @@ from vo2_models.recording import RESISTANCE, Recording
 __all__ = ["fit_rig"]
 
 Floats = NDArray[np.float64]
-_FINE = {"centres": 20, "widths": 10}
+_GRIDS = ({"centres": 20, "widths": 10}, {"centres": 60, "widths": 8})
+"""Grids of plays, smooth and sharp."""
 _REFINED = (8, 24)
 """Numbers of the heaviest plays that Levenberg-Marquardt moves, tried against all of them as they stand."""
 _MARGIN = 0.97
 _STEPS = 40
-_LONGEST = 20_000
-"""Samples above which the plays are not moved: the convex fit alone stands."""
+_SHORT, _LONGEST = 2_000, 20_000
+"""Samples below which all held-out parts judge, and above which the plays are not moved: the convex fit stands."""
 
 
 def fit_rig(
@@ -144,24 +144,29 @@ def _along(grids: Sequence[GriddedRecording], role: str) -> Floats:
 def _loop(path: Floats, values: Floats, degree: int) -> tuple[BankFit, float, str]:
     """Return the loop that predicts held-out parts best, its error there, and what it is made of."""
     inside = path[path > path.min()]
-    dictionary = PlayDictionary.over(float(inside.min()), float(inside.max()), **_FINE)
-    convex = fit_dictionary(dictionary, path, values, degree=degree)
-    fold = fold_of(np.isfinite(values))
-    last = fold == FOLDS - 1
-    train = np.where(last, np.nan, values)
-    gap = convex.held_out[last]
-    least = float(np.sqrt(np.nanmean(gap**2)))
+    dictionaries = [PlayDictionary.over(float(inside.min()), float(inside.max()), **grid) for grid in _GRIDS]
+    fits = [fit_dictionary(dictionary, path, values, degree=degree) for dictionary in dictionaries]
+    convex = min(fits, key=lambda one: one.misfit)
+    good = np.isfinite(values)
+    fold = fold_of(good)
+    count = int(np.count_nonzero(good))
+    # one part tells enough of a long recording; of a short one all are needed
+    judged = range(FOLDS) if count < _SHORT else (FOLDS - 1,)
+    seen = np.isin(fold, list(judged)) & np.isfinite(convex.held_out)
+    reference = least = float(np.sqrt(np.mean(convex.held_out[seen] ** 2)))
     chosen: BankShape | None = None
-    count = np.count_nonzero(np.isfinite(train))
     for plays in _REFINED if count <= _LONGEST else ():
-        start = _started(convex, plays, degree)
-        if count < 2 * start.vector.size:
+        start = convex.shape(plays, degree=3)
+        if 0.7 * count < 2 * start.vector.size:
             continue
-        moved = fit_bank(path, train, start, iterations=_STEPS)
-        error = float(np.sqrt(np.nanmean(moved.residual_of(path, values)[last] ** 2)))
+        gaps = []
+        for part in judged:
+            moved = fit_bank(path, np.where(fold == part, np.nan, values), start, iterations=_STEPS)
+            gaps.append(moved.residual_of(path, values)[(fold == part) & seen])
+        error = float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)))
         if error < _MARGIN * least:
-            least, chosen = error, moved.shape
-    misfit = convex.misfit * least / float(np.sqrt(np.nanmean(gap**2)))
+            least, chosen = error, start
+    misfit = convex.misfit * least / reference
     if chosen is not None:
         fit = fit_bank(path, values, chosen, iterations=_STEPS)
         return fit, misfit, f"{chosen.centre.size} plays, moved, and a polynomial of degree 3"
@@ -169,8 +174,3 @@ def _loop(path: Floats, values: Floats, degree: int) -> tuple[BankFit, float, st
     output, jacobian = evaluate(shape, path)
     kind = f"{shape.centre.size} plays on a grid and a polynomial of degree {degree}"
     return BankFit(shape, values - output, jacobian, 0), misfit, kind
-
-
-def _started(convex: DictionaryFit, plays: int, degree: int) -> BankShape:
-    """The heaviest plays of a convex fit; the polynomial may bend."""
-    return convex.shape(plays, degree=max(degree, 3))

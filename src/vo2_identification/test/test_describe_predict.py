@@ -1,0 +1,114 @@
+"""A rig of one's own from the bag on: drafted, fitted, predicted; the commands as a person calls them."""
+
+import csv
+
+import numpy as np
+import pytest
+import yaml
+from vo2_identification.bags import read_bag, write_bag
+from vo2_models.device import preset
+from vo2_models.hysteresis.preisach import PreisachOperator
+from vo2_models.recording import Recording
+
+from vo2_identification import describe, fit, predict
+
+DT = 0.02
+
+
+def _rig(count: int = 900) -> Recording:
+    phase = np.arange(count) / 150
+    volts = 30.0 * (1.0 - np.linspace(1.0, 0.3, count) * np.cos(2 * np.pi * (phase + 0.15 * np.sin(phase))))
+    walls = np.linspace(0.0, 60.0, 21)
+    high, low = np.tril_indices(20)
+    law = PreisachOperator(walls, np.exp(-0.5 * ((high - low - 3) / 3) ** 2) * 1e-8)
+    noise = np.random.default_rng(5).normal(0.0, 2e-8, count)
+    return Recording(
+        DT * np.arange(count), {"drive_voltage": volts, "extension": law(volts) + noise}, "stack_07"
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with the bag of a rig, the drafted device file, and the model fitted with it."""
+    place = tmp_path_factory.mktemp("rig")
+    write_bag(place / "bag", _rig())
+    assert describe.main(["--bag", str(place / "bag"), "--output", str(place / "device.yaml")]) == 0
+    arguments = ["--bag", str(place / "bag"), "--device", str(place / "device.yaml"), "--quiet"]
+    assert fit.main([*arguments, "--output", str(place / "model.yaml")]) == 0
+    return place
+
+
+def test_the_draft_is_a_device_file(folder):
+    text = (folder / "device.yaml").read_text(encoding="utf-8")
+    device = preset(folder / "device.yaml")
+    assert device.id == "stack_07" and device.names["heater_current"] == "drive_voltage"
+    assert device.units == {"heater_current": "V", "tip_deflection": "m"}
+    recording = _rig()
+    assert device.deflection_range == pytest.approx(np.ptp(recording["extension"]), rel=1e-3)
+    assert device.noise["tip_deflection"] == pytest.approx(2e-8, rel=0.3)
+    assert device.sample_period == pytest.approx(DT)
+    assert "# drive: drive_voltage was taken for the drive" in text
+
+
+def test_the_draft_marks_what_it_could_not_know(tmp_path, capsys):
+    recording = _rig(300)
+    channels = {"knob": recording["drive_voltage"], "answer": recording["extension"]}
+    write_bag(tmp_path / "bag", Recording(recording.time_s, channels, ""))
+    assert describe.main(["--bag", str(tmp_path / "bag"), "--drive", "knob"]) == 0
+    printed = capsys.readouterr().out
+    document = yaml.safe_load(printed)
+    assert document["drive"]["unit"] == document["responses"]["answer"]["unit"] == "?"
+    assert "# answer: unit not known from the name: put one of m, s, A" in printed
+    assert describe.main(["--bag", str(tmp_path / "bag"), "--drive", "nob"]) == 2
+    assert "found knob, answer, need nob and a response" in capsys.readouterr().err
+
+
+def test_a_bag_is_predicted_and_compared(folder, capsys):
+    output = folder / "predicted"
+    assert (
+        predict.main(
+            ["--model", str(folder / "model.yaml"), "--bag", str(folder / "bag"), "--output", str(output)]
+        )
+        == 0
+    )
+    printed = capsys.readouterr().out
+    assert "% of the measured span" in printed and "within the bounds" in printed
+    with (output / "prediction.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    measured = _rig()
+    found = {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+    gap = measured["extension"] - found["extension"]
+    assert np.sqrt(np.mean(gap**2)) < 0.02 * np.ptp(measured["extension"])
+    inside = (measured["extension"] > found["extension_lower"]) & (
+        measured["extension"] < found["extension_upper"]
+    )
+    assert inside.mean() > 0.9
+    bag = read_bag(output / "bag", roles=("measurement",), channels=None)[0]["measurement"]
+    assert bag["extension"] == pytest.approx(found["extension"]) and bag.device == "stack_07"
+    page = (output / "report.html").read_text(encoding="utf-8")
+    assert "drive_voltage" in page and page.count("<svg") == 1
+
+
+def test_a_table_and_a_written_drive_are_predicted(folder, tmp_path):
+    table = tmp_path / "drive.csv"
+    recording = _rig(200)
+    lines = ["time_s,drive_voltage"] + [
+        f"{t},{v}" for t, v in zip(recording.time_s, recording["drive_voltage"], strict=True)
+    ]
+    table.write_text("\n".join(lines), encoding="utf-8")
+    common = ["--model", str(folder / "model.yaml"), "--output"]
+    assert predict.main([*common, str(tmp_path / "one"), "--csv", str(table)]) == 0
+    assert predict.main([*common, str(tmp_path / "two"), "--drive", "0,60,20,60,0", "--rate", "50"]) == 0
+    with (tmp_path / "two" / "prediction.csv").open(encoding="utf-8") as file:
+        volts = [float(row["drive_voltage"]) for row in csv.DictReader(file)]
+    assert max(volts) == 60.0 and len(volts) == pytest.approx(200 / 50 / DT, rel=0.05)
+
+
+def test_what_cannot_be_predicted(folder, tmp_path, capsys):
+    (tmp_path / "bad.csv").write_text("time_s,voltage\n0,1\n", encoding="utf-8")
+    common = ["--model", str(folder / "model.yaml"), "--output", str(tmp_path / "out")]
+    assert predict.main([*common, "--csv", str(tmp_path / "bad.csv")]) == 2
+    assert "found the columns time_s, voltage, need time_s and drive_voltage" in capsys.readouterr().err
+    assert predict.main([*common, "--drive", "0,up"]) == 2
+    assert "--drive: found '0,up', need levels" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

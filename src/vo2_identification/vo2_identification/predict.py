@@ -1,0 +1,207 @@
+"""`predict`: what a fitted model expects of a recording or a drive, with bounds, as table, bag and page."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from vo2_models.recording import Recording
+
+if TYPE_CHECKING:
+    from vo2_models.device.description import DeviceDescription
+    from vo2_models.device.model import DeviceModel
+    from vo2_models.prediction import Prediction
+
+__all__ = ["RESULTS", "main", "predicted_recording", "prediction_page"]
+
+_DESCRIPTION = """
+Run a fitted model on the drive of a bag, of a table, or on one that is written down, and write the responses that it
+expects, with bounds that 95 of 100 samples should lie between. Responses that the bag or the table has are compared.
+"""
+RESULTS = ("prediction.csv", "bag", "report.html")
+"""What the command writes into its folder."""
+_TIME = ("time_s", "time")
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit status: 0, 2 on bad input, 130 after Ctrl-C."""
+    options = _parser().parse_args(args)
+    try:
+        return _run(options)
+    except (ValueError, OSError) as error:
+        print(f"predict: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("predict: interrupted", file=sys.stderr)
+        return 130
+
+
+def _run(options: argparse.Namespace) -> int:
+    from vo2_models.device.model import DeviceModel
+    from vo2_models.io.output_folder import OutputFolder
+    from vo2_models.prediction import predict
+
+    from vo2_identification.bags import write_bag
+
+    outputs = OutputFolder(options.output, RESULTS)
+    outputs.check()
+    model = DeviceModel.load(options.model)
+    device = model.description
+    prediction = predict(model, _recording(options, device))
+    found = predicted_recording(prediction, device)
+    with outputs.replaced() as folder:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / "prediction.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["time_s", *found.channels])
+            writer.writerows(np.column_stack([found.time_s, *found.channels.values()]).tolist())
+        write_bag(folder / "bag", found)
+        (folder / "report.html").write_text(prediction_page(prediction, model), encoding="utf-8")
+    for line in summary(prediction, device):
+        print(line)
+    print(f"wrote {', '.join(str(options.output / name) for name in RESULTS)}")
+    return 0
+
+
+def predicted_recording(prediction: Prediction, device: DeviceDescription) -> Recording:
+    """Return drive, predicted responses and their bounds under the device's own channel names."""
+    channels = {device.drive_channel: prediction.drive}
+    for role, one in prediction.channels.items():
+        name = device.names[role]
+        channels |= {name: one.value, f"{name}_lower": one.lower, f"{name}_upper": one.upper}
+    return Recording(prediction.time_s, channels, device.id)
+
+
+def summary(prediction: Prediction, device: DeviceDescription) -> list[str]:
+    """Return one sentence per response."""
+    lines = []
+    for role, one in prediction.channels.items():
+        name, unit = device.names[role], device.units[role]
+        text = f"{name}: predicted {np.min(one.value):.4g} to {np.max(one.value):.4g} {unit}"
+        if np.isfinite(one.error):
+            judged = f"log10 {unit}" if role == "film_resistance" else unit
+            text += (
+                f"; measured minus predicted {one.error:.3g} {judged} r.m.s., {100 * one.error / one.span:.2f} % of the "
+                f"measured span; {100 * one.inside:.0f} % of the samples within the bounds"
+            )
+        lines.append(text)
+    return lines
+
+
+def prediction_page(prediction: Prediction, model: DeviceModel) -> str:
+    """Return the page: each response over the time and over the drive."""
+    from vo2_models.page.figures import COLOURS, figure_html, new_figure
+    from vo2_models.page.page import page, paragraph, section
+
+    device = model.description
+    sections = []
+    for role, one in prediction.channels.items():
+        name, unit = device.names[role], device.units[role]
+        with new_figure(height_in=3.2) as figure:
+            course, loop = figure.subplots(1, 2, width_ratios=(2, 1), sharey=True)
+            for axes, x in ((course, prediction.time_s), (loop, prediction.drive)):
+                if one.measured is not None:
+                    axes.plot(x, one.measured, color=COLOURS["true"], label="measured")
+                axes.plot(x, one.value, color=COLOURS["fit"], linestyle="--", label="predicted")
+            course.fill_between(
+                prediction.time_s, one.lower, one.upper, color=COLOURS["fit"], alpha=0.2, label="95 % bounds"
+            )
+            if role == "film_resistance":
+                course.set_yscale("log")
+            course.set_xlabel("time [s]")
+            course.set_ylabel(f"{name} [{unit}]")
+            loop.set_xlabel(f"{device.drive_channel} [{device.drive_unit}]")
+            course.legend()
+        sections.append(
+            section(name, figure_html(figure, f"{name} over the time and over the drive, device {device.id}"))
+        )
+    start = "settled at its first drive" if prediction.settled else "from a cold rest"
+    lead = f"What the fitted model of device {device.id} expects, started {start}."
+    found = [paragraph(line) for line in summary(prediction, device)]
+    return page(f"Prediction, {device.id}", lead, [section("Result", *found), *sections])
+
+
+def _recording(options: argparse.Namespace, device: DeviceDescription) -> Recording:
+    """The drive, with measured responses where there are some, in roles."""
+    if options.bag is not None:
+        from vo2_identification.bags import read_recording
+        from vo2_identification.bags.problems import in_few_lines
+
+        recording, problems = read_recording(options.bag, device=device)
+        for problem in in_few_lines(problems):
+            print(f"predict: {options.bag}: {problem}", file=sys.stderr)
+        return recording
+    if options.csv is not None:
+        return device.in_roles(_table(options.csv, device))
+    from vo2_models.identification.excitation import Excitation
+
+    levels = _levels(options.drive)
+    period = options.period or device.sample_period
+    rate = options.rate or float(np.sum(np.abs(np.diff(levels)))) / (1000.0 * period)
+    drive = Excitation.at_rate(levels, rate_per_s=rate).sample(period)
+    return device.in_roles(
+        Recording(period * np.arange(drive.size, dtype=np.float64), {device.drive_channel: drive}, device.id)
+    )
+
+
+def _table(path: Path, device: DeviceDescription) -> Recording:
+    """Read a table with a header of channel names and a column of the time in seconds."""
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = list(csv.reader(file))
+    names = [cell.strip() for cell in rows[0]] if rows else []
+    time = next((name for name in _TIME if name in names), "")
+    if not time or device.drive_channel not in names:
+        raise ValueError(
+            f"{path}: found the columns {', '.join(names) or 'none'}, need {_TIME[0]} and {device.drive_channel} "
+            "in the first row; or make a bag of it with `convert`"
+        )
+    known = [name for name in names if name == time or name in device.names.values()]
+    values = np.full((len(rows) - 1, len(known)), np.nan)
+    for number, row in enumerate(rows[1:]):
+        for place, name in enumerate(known):
+            cell = row[names.index(name)].strip() if names.index(name) < len(row) else ""
+            try:
+                values[number, place] = float(cell) if cell else np.nan
+            except ValueError:
+                raise ValueError(f"{path}: row {number + 2}, {name}: found {cell!r}, need a number") from None
+    columns = dict(zip(known, values.T, strict=True))
+    stamps = np.asarray(columns.pop(time), dtype=np.float64)
+    return Recording(stamps, columns, device.id)
+
+
+def _levels(text: str) -> np.ndarray:
+    try:
+        levels = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        raise ValueError(f"--drive: found {text!r}, need levels such as 0,100,20,100,0") from None
+    if levels.size < 2:
+        raise ValueError(f"--drive: found {levels.size} level, need at least two")
+    return levels
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="predict", description=_DESCRIPTION, allow_abbrev=False)
+    parser.add_argument("--model", type=Path, required=True, help="model file that `fit` wrote")
+    given = parser.add_mutually_exclusive_group(required=True)
+    given.add_argument("--bag", type=Path, help="bag with the drive, and responses to compare with")
+    given.add_argument("--csv", type=Path, help="table with columns time_s and channel names, in SI units")
+    given.add_argument(
+        "--drive", metavar="LEVELS", help="levels of the drive, visited in turn: 0,100,20,100,0"
+    )
+    parser.add_argument(
+        "--rate",
+        type=float,
+        help="of --drive, in its unit per second (default: 1000 samples for the whole way)",
+    )
+    parser.add_argument("--period", type=float, help="sample period of --drive [s] (default: the device's)")
+    parser.add_argument("--output", type=Path, required=True, help="folder for table, bag and page")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

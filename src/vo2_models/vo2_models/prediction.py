@@ -1,0 +1,141 @@
+"""What a fitted model expects of a drive, with bounds, and how far a measurement is from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.device.model import DeviceModel
+from vo2_models.identification.grid import on_grid
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, Recording, aligned
+
+__all__ = ["ChannelPrediction", "Prediction", "predict"]
+
+Floats = NDArray[np.float64]
+_NORMAL_95 = 1.959964
+"""Standard deviations that hold 95 % of a normal distribution."""
+_BEGINNING = 0.1
+
+
+@dataclass(frozen=True)
+class ChannelPrediction:
+    """One response.
+
+    Attributes
+    ----------
+    value, lower, upper : (n,) prediction and the bounds that 95 of 100 measured samples should lie between
+    measured : (n,) or None
+    error : root mean square of measured minus predicted, in judged units (log10 for the film response); NaN without
+    span : of what was measured, in judged units; NaN without
+    inside : share of the measured samples between the bounds; NaN without
+    """
+
+    value: Floats
+    lower: Floats
+    upper: Floats
+    measured: Floats | None
+    error: float
+    span: float
+    inside: float
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Predicted responses along a drive.
+
+    Attributes
+    ----------
+    time_s : (n,) regular stamps [s]
+    drive : (n,) what drove the model, in the drive's unit
+    channels : role -> prediction
+    settled : whether the model was started settled at the first drive instead of from a cold rest
+    """
+
+    time_s: Floats
+    drive: Floats
+    channels: Mapping[str, ChannelPrediction]
+    settled: bool
+
+
+def predict(model: DeviceModel, recording: Recording) -> Prediction:
+    """Run a model on the drive of a recording and compare with the responses that it has.
+
+    Parameters
+    ----------
+    model : fitted
+    recording : in roles; at least a drive. Its command delay is the model's
+
+    Raises
+    ------
+    ValueError : no drive, fewer than 16 samples, or gaps that are too long.
+    """
+    grid = on_grid(aligned(recording, model.command_delay))
+    roles = [role for role in model.description.channels if role != HEATER_CURRENT and _has(model, role)]
+
+    def simulated(settled: bool) -> dict[str, Floats]:
+        run = model.simulate(grid.current, dt=grid.dt, noise=False, settled=settled)
+        return {role: _judged(role, run[role]) for role in roles}
+
+    def beginning(outputs: Mapping[str, Floats]) -> float:
+        count = max(int(_BEGINNING * grid.current.size), 8)
+        return sum(
+            float(np.nanmean((grid.measured[role][:count] - outputs[role][:count]) ** 2))
+            / float(np.nanvar(grid.measured[role]) or 1.0)
+            for role in roles
+            if role in grid.measured and np.isfinite(grid.measured[role][:count]).any()
+        )
+
+    settled = not model.description.has_body
+    outputs = simulated(settled)
+    if model.description.has_body and any(role in grid.measured for role in roles):
+        other = simulated(True)
+        settled = beginning(other) < beginning(outputs)
+        outputs = other if settled else outputs
+    return Prediction(
+        grid.start + grid.dt * np.arange(grid.current.size, dtype=np.float64),
+        grid.current,
+        {role: _compared(model, role, outputs[role], grid.measured.get(role)) for role in roles},
+        settled,
+    )
+
+
+def _compared(model: DeviceModel, role: str, value: Floats, measured: Floats | None) -> ChannelPrediction:
+    """Bounds from the held-out misfit (the fit's own residual where that was not tried), which holds the noise too."""
+    sensor = model.sensors.get(role)
+    bound = _NORMAL_95 * (sensor.misfit or sensor.residual) if sensor else 0.0
+    error = span = inside = float("nan")
+    if measured is not None:
+        good = np.isfinite(measured)
+        gap = np.abs(measured[good] - value[good])
+        error, span, inside = (
+            float(np.sqrt(np.mean(gap**2))),
+            float(np.ptp(measured[good])),
+            float(np.mean(gap <= bound)),
+        )
+    ends = [_natural(role, value + sign * bound) for sign in (-1.0, 1.0)]
+    return ChannelPrediction(
+        value=_natural(role, value),
+        lower=np.minimum(*ends),
+        upper=np.maximum(*ends),
+        measured=None if measured is None else _natural(role, measured),
+        error=error,
+        span=span,
+        inside=inside,
+    )
+
+
+def _has(model: DeviceModel, role: str) -> bool:
+    """Whether the model says anything about a role."""
+    banks = {RESISTANCE: model.resistance, "tip_deflection": model.deflection}
+    return role not in banks or bool(np.size(banks[role].weights))
+
+
+def _judged(role: str, values: Floats) -> Floats:
+    return -np.log10(np.maximum(values, 1e-300)) if role == RESISTANCE else values
+
+
+def _natural(role: str, values: Floats) -> Floats:
+    return np.asarray(10.0**-values) if role == RESISTANCE else values
