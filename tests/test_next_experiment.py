@@ -75,6 +75,7 @@ def test_the_experiment_is_played_as_designed_and_diagnosed_with_the_first_recor
         "diagnosis.json",
         "report.html",
         "corrected_model.yaml",
+        ".vo2_outputs.json",
     }
     assert answer["summary"] in capfd.readouterr().out
 

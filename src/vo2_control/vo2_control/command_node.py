@@ -18,7 +18,7 @@ from vo2_interface.diagnostics import Diagnostics
 from vo2_interface.emergency_stop import EmergencyStop
 from vo2_interface.inputs import SampleInput
 from vo2_interface.lockstep import HOLD_SAMPLES, SampleAge, StampOrder
-from vo2_interface.model import PRESETS, model_parameters, operating_point
+from vo2_interface.model import model_parameters, operating_point
 from vo2_interface.parameters import ParameterTable
 from vo2_interface.samples import SampleReader, SampleWriter
 from vo2_interface.timers import create_steady_timer
@@ -43,7 +43,10 @@ __all__ = ["COMMAND_NODE_PARAMETERS", "CommandNode"]
 
 COMMAND_NODE_PARAMETERS = (
     Parameter(
-        "preset", "integrated", "", "Device preset: range of the current, sample period.", choices=PRESETS
+        "preset",
+        "integrated",
+        "",
+        "Device: integrated, peltier, or the path of a device file.",
     ),
     Parameter("enabled", True, "", "Whether the node commands; off, it only listens."),
     Parameter("time", "lockstep", "", "Whose pace the loop keeps.", choices=("lockstep", "wall")),

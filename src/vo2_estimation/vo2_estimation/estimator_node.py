@@ -11,7 +11,7 @@ from vo2_interface.diagnostics import Diagnostics
 from vo2_interface.executable import run_nodes
 from vo2_interface.inputs import SampleInput
 from vo2_interface.lockstep import StampOrder
-from vo2_interface.model import PRESETS, model_parameters
+from vo2_interface.model import model_parameters
 from vo2_interface.parameters import ParameterTable
 from vo2_interface.samples import SampleReader, SampleWriter
 from vo2_interface.topics import (
@@ -31,7 +31,7 @@ from vo2_estimation.schemes import SCHEMES, Scheme, make_scheme
 __all__ = ["ESTIMATOR_PARAMETERS", "EstimatorNode", "main"]
 
 ESTIMATOR_PARAMETERS = (
-    Parameter("preset", "integrated", "", "Device preset.", choices=PRESETS),
+    Parameter("preset", "integrated", "", "Device: integrated, peltier, or the path of a device file."),
     Parameter(
         "kind",
         "composite",

@@ -28,7 +28,7 @@ from vo2_interface.emergency_stop import EmergencyStop
 from vo2_interface.executable import run_nodes
 from vo2_interface.inputs import SampleInput
 from vo2_interface.lockstep import StampOrder
-from vo2_interface.model import PRESETS, model_parameters, operating_point
+from vo2_interface.model import model_parameters, operating_point
 from vo2_interface.parameters import ParameterTable, ros_parameters
 from vo2_interface.samples import SampleReader, SampleWriter
 from vo2_interface.timers import create_steady_timer
@@ -53,7 +53,7 @@ from vo2_identification.sample_log import SampleLog
 __all__ = ["IDENTIFIER_PARAMETERS", "IdentifierNode", "main"]
 
 IDENTIFIER_PARAMETERS = (
-    Parameter("preset", "integrated", "", "Device preset.", choices=PRESETS),
+    Parameter("preset", "integrated", "", "Device: integrated, peltier, or the path of a device file."),
     Parameter("rate_hz", 0.0, "Hz", "Sampling rate; 0 for the preset's.", 0.0, 20e3),
     *EXCITATION_PARAMETERS,
     Parameter("fit", True, "", "Fit after recording; off, the excitation is only played."),

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-from vo2_models.device.description import PRESETS as _PRESETS
 from vo2_models.device.description import preset
 from vo2_models.parameters import Parameter
 
-__all__ = ["PRESETS", "OperatingPoint", "model_parameters", "operating_point"]
-
-PRESETS = tuple(_PRESETS)
+__all__ = ["OperatingPoint", "model_parameters", "operating_point"]
 
 
 @dataclass(frozen=True)
@@ -68,8 +65,9 @@ def operating_point(preset_id: str) -> OperatingPoint:
 @lru_cache(maxsize=1)
 def model_parameters() -> tuple[Parameter, ...]:
     """Return the records of everything a model file may hold, in every section."""
-    # both modules load the compiler: only once parameters are really declared
+    # these modules load the compiler: only once parameters are really declared
     from vo2_models.device import PARAMETERS as DEVICE_PARAMETERS
+    from vo2_models.identification.digest import DIGEST_PARAMETERS
     from vo2_models.self_sensing import PARAMETERS as SELF_SENSING_PARAMETERS
 
-    return (*DEVICE_PARAMETERS, *SELF_SENSING_PARAMETERS)
+    return (*DEVICE_PARAMETERS, *DIGEST_PARAMETERS, *SELF_SENSING_PARAMETERS)

@@ -81,3 +81,48 @@ def test_a_file_that_is_not_sound_is_told_with_its_place(tmp_path, change, said)
 def test_a_folder_that_is_not_there_is_told(tmp_path):
     code = "from vo2_models.effects import effects\ntry:\n    effects()\nexcept ValueError as error:\n    print(error)"
     assert "found no such folder" in run(tmp_path / "nowhere", code).stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("stage", "hook", "quantity", "channel"),
+    [
+        ("driver", "drive", "current", "heater_current"),
+        ("terminals", "terminals", "value", "film_resistance"),
+        ("structure", "structure", "deflection", "tip_deflection"),
+    ],
+)
+def test_a_lag_of_ones_own_works_at_every_stage_that_passes_a_value_on(
+    tmp_path, stage, hook, quantity, channel
+):
+    (tmp_path / "own_lag.py").write_text(f"""
+import math
+from vo2_models.effects.record import ALL, Effect, State, constant_of
+
+EFFECT = Effect(
+    id="own_lag", stage={stage!r}, parameters=(constant_of("tau", 0, "s", "time constant", 0, 10),), channels=ALL,
+    states=(State("late", "1", "what has arrived"),), typical={{"integrated": {{"tau": (1e-3, 5e-3)}}}},
+    equation="tau dy/dt = u - y", excitation="steps", source="any text", statement="One value comes late.",
+)
+
+def settled({quantity}):
+    return {quantity}
+
+def advance({quantity}, late, period, tau):
+    return late - math.expm1(-period / tau) * ({quantity} - late)
+
+def {hook}(late):
+    return late
+""")
+    code = (
+        "import numpy as np\nfrom vo2_models.device import truth\n"
+        "def late(**e): return truth('integrated', domains=50, effects=e).simulate(np.r_[np.zeros(50), np.full(50, 4e-3)], "
+        f"noise=False)[{channel!r}]\n"
+        "plain, run = late(), late(own_lag={'tau': 3e-3})\n"
+        "decay, expected = np.exp(-1 / 3), [plain[0]]\n"
+        "for u in plain[1:]: expected.append(u + (expected[-1] - u) * decay)\n"
+        "print(np.max(np.abs(run - expected)) / np.ptp(plain), 0)"
+    )
+    shown = run(tmp_path, code)
+    assert shown.returncode == 0, shown.stderr
+    assert float(shown.stdout.split()[0]) < 1e-9

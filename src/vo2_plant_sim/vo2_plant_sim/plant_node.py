@@ -22,7 +22,7 @@ from vo2_interface.emergency_stop import EmergencyStop
 from vo2_interface.executable import run_nodes
 from vo2_interface.inputs import SampleInput
 from vo2_interface.lockstep import HOLD_SAMPLES, REPEAT_S
-from vo2_interface.model import PRESETS, model_parameters, operating_point
+from vo2_interface.model import model_parameters, operating_point
 from vo2_interface.parameters import ParameterTable
 from vo2_interface.samples import ClockWriter, SampleReader, SampleWriter
 from vo2_interface.timers import create_steady_timer
@@ -44,7 +44,7 @@ from vo2_plant_sim.simulated_device import SIMULATED_DEVICE_PARAMETERS, TRUE_CHA
 __all__ = ["PLANT_PARAMETERS", "PlantNode", "main"]
 
 PLANT_PARAMETERS = (
-    Parameter("preset", "integrated", "", "Device preset.", choices=PRESETS),
+    Parameter("preset", "integrated", "", "Device: integrated, peltier, or the path of a device file."),
     Parameter(
         "time", "lockstep", "", "Simulated time in lockstep, or wall time.", choices=("lockstep", "wall")
     ),

@@ -124,6 +124,8 @@ def _value(record: Effect, block: Block, name: str, quantities: Mapping[str, str
         return f"x[{place}]" if size == 1 else str(place)
     if name == "memory":
         return "x"
+    if name == "period":
+        return f"c[{int(Coefficient.SAMPLE_PERIOD)}]"
     if name in _DEVICE:
         return f"c[{int(_DEVICE[name])}]"
     if name == "fraction" and "phase" in block.places:

@@ -13,7 +13,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from vo2_interface.diagnostics import Diagnostics
 from vo2_interface.executable import run_nodes
-from vo2_interface.model import PRESETS, operating_point
+from vo2_interface.model import operating_point
 from vo2_interface.parameters import ParameterTable
 from vo2_interface.samples import SampleReader, SampleWriter
 from vo2_interface.topics import COMMAND, COMMAND_CHANNELS, DEFAULT_NAMESPACE, READ_QOS, SAMPLE_QOS
@@ -25,7 +25,7 @@ __all__ = ["DisturbanceNode", "main"]
 
 UNDISTURBED = "undisturbed"
 _RECORDS = (
-    Parameter("preset", "peltier", "", "Device preset: sample period.", choices=PRESETS),
+    Parameter("preset", "peltier", "", "Device: integrated, peltier, or the path of a device file."),
     Parameter("seed", 1, "1", "Seed of the noise.", 0, 2**31 - 1),
     Parameter("count", 8800, "1", "Samples of noise; none after them.", 100, 10_000_000),
 )
