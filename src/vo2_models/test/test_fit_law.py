@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 from vo2_models.hysteresis import GPI, BoucWen, DomainEnsemble, LimitingLoop, PreisachOperator, TanhEnvelopes
-from vo2_models.hysteresis.fit_law import FITTED, HELD_OUT, excursions, fit_law, rank_laws
+from vo2_models.hysteresis.law_fit import FITTED, HELD_OUT, excursions, fit_law, rank_laws
 from vo2_models.hysteresis.preisach import fit_smooth, signed_area_matrix
 
 

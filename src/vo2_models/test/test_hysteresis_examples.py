@@ -14,7 +14,7 @@ MODULES = [
     ".bouc_wen",
     ".compression_gpi",
     ".domains",
-    ".fit_law",
+    ".law_fit",
     ".compressive_sensing_gpi",
     ".envelopes",
     ".fitting_gpi",

@@ -119,7 +119,8 @@ def test_derivatives_are_those_of_the_model(seed, kind, memoryless):
         ]
     )
     x = parameters.pack(arguments, np.array(BASES[memoryless].starts[0]))
-    projection = Projection(z, np.tanh(3 * z) + 0.1 * rng.standard_normal(150), True, parameters)
+    record = np.tanh(3 * z) + 0.1 * rng.standard_normal(150)
+    projection = Projection(z, record, True, parameters, np.ones(150, dtype=bool))
     found = projection.linear(x)
 
     def output(at):

@@ -61,9 +61,9 @@ _HOME = {
     "merge": "compression_gpi",
     "partition": "compression_gpi",
     "identify_play_weights": "compressive_sensing_gpi",
-    "LawFit": "fit_law",
-    "fit_law": "fit_law",
-    "rank_laws": "fit_law",
+    "LawFit": "law_fit",
+    "fit_law": "law_fit",
+    "rank_laws": "law_fit",
     "PlayFit": "fitting_gpi",
     "fit_play_model": "fitting_gpi",
 }

@@ -23,7 +23,7 @@ from vo2_models.identification.grid import on_grid
 from vo2_models.identification.rig_fit import fit_rig
 from vo2_models.parameters import Value
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording, aligned
-from vo2_models.self_sensing.characterise import characterise
+from vo2_models.self_sensing.characterisation import characterise
 
 __all__ = ["fit_model"]
 

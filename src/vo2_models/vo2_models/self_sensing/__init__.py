@@ -20,7 +20,7 @@ _HOME = {
     "DirectPreisachSelfSensing": "direct_preisach",
     "PolynomialSelfSensing": "polynomial",
     "DynamicSelfSensing": "dynamic",
-    "characterise": "characterise",
+    "characterise": "characterisation",
 }
 __all__ = sorted(_HOME)
 

@@ -10,7 +10,7 @@ from vo2_models.identification.device_fit import fit_device
 from vo2_models.identification.excitation import damped_oscillation
 from vo2_models.parameters import Value
 from vo2_models.recording import Recording
-from vo2_models.self_sensing.characterise import characterise
+from vo2_models.self_sensing.characterisation import characterise
 
 __all__ = ["damped_recording", "identify"]
 

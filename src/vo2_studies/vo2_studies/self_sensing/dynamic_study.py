@@ -16,7 +16,7 @@ from vo2_models.identification.device_fit import fit_device
 from vo2_models.identification.excitation import chirp, damped_oscillation, random_levels
 from vo2_models.parameters import Value
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
-from vo2_models.self_sensing.characterise import characterise
+from vo2_models.self_sensing.characterisation import characterise
 from vo2_models.self_sensing.records import MODE
 from vo2_models.self_sensing.scheme import self_sensing
 

@@ -15,7 +15,7 @@ from vo2_models.device.simulation import TRUE_DEFLECTION
 from vo2_models.identification.device_fit import fit_device
 from vo2_models.identification.excitation import damped_oscillation, random_levels
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
-from vo2_models.self_sensing.characterise import characterise
+from vo2_models.self_sensing.characterisation import characterise
 from vo2_models.self_sensing.scheme import SelfSensing, self_sensing
 
 __all__ = ["LEVELS", "SCHEMES", "level_errors", "main", "time_per_estimate"]
