@@ -319,6 +319,7 @@ def test_wall_time_a_second_controller_stands_by_until_the_first_is_silent():
         rig.add(ControllerNode)
         for k in range(1, 6):
             rig.say("/vo2/command", 50 * k * MS, {"heater_current": 0.005})
+            rig.spin(0.05)  # topics have no order among each other: the other commander is heard first
             rig.say("/vo2/estimate", 50 * k * MS, estimate(30 * UM))
             rig.say("/vo2/reference", 50 * k * MS, {"tip_deflection": 30 * UM})
             rig.until(lambda k=k: len(rig.heard["/vo2/command"]) >= k)
