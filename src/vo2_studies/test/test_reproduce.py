@@ -68,7 +68,7 @@ def test_bad_arguments_end_with_one_line(tmp_path, capsys):
     blocked = tmp_path / "file"
     blocked.write_text("")
     assert main(["--only", "8.3", "--output", str(blocked / "x")]) == 2
-    assert "writable" in capsys.readouterr().err
+    assert "that may be written into" in capsys.readouterr().err
     assert main(["--draws", "0"]) == 2
 
 
