@@ -53,6 +53,6 @@ def test_no_path_of_a_machine(page):
 def test_commands_are_those_that_there_are(page):
     """`./vo2 run PACKAGE EXECUTABLE` names an executable that is installed."""
     text = page.read_text(encoding="utf-8")
-    for package, executable in re.findall(r"\./vo2 run (vo2_\w+) ([a-z]\w*)", text):
+    for package, executable in re.findall(r"\./vo2 run (vo2_\w+) ([a-z][\w-]*)", text):
         place = ROOT / "install" / package / "lib" / package / executable
         assert os.access(place, os.X_OK), f"{page.name}: {package} {executable}"

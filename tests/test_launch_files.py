@@ -86,7 +86,11 @@ def test_what_a_launch_file_needs_is_a_dependency_and_is_installed_with_it(path)
         assert 'glob("config/*.yaml")' in setup, name
 
 
-@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+# the live page runs beside a loop and takes its time from it
+LOOPS = [path for path in LAUNCH_FILES if '"plant"' in path.read_text()]
+
+
+@pytest.mark.parametrize("path", LOOPS, ids=lambda path: path.name)
 def test_one_argument_chooses_wall_time_or_lockstep(path):
     calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
     named = [call for call in calls if getattr(call.func, "id", "") == "DeclareLaunchArgument"]

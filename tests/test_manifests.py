@@ -23,7 +23,7 @@ KEYS = {
     "yaml": "python3-yaml",
 }
 """Module -> key of rosdistro's python.yaml; a ROS package has its own name."""
-WITHOUT_KEY = {"threadpoolctl"}
+WITHOUT_KEY = {"clarabel", "threadpoolctl"}
 """rosdistro knows no key: comes with pip, see requirements.txt."""
 WITH_ANOTHER = {
     "cycler": "matplotlib",

@@ -129,7 +129,7 @@ def pid_controller(gains: PidGains, limits: CurrentLimits, sample_period_s: floa
     sample_period_s : [s]
 
     >>> pi = pid_controller(PidGains(kp=100.0, ki=2e4), CurrentLimits(0.0, 0.012), 0.001)
-    >>> pi.reset(0.005, reference_m=30e-6, estimate_m=30e-6)
+    >>> _ = pi.reset(0.005, reference_m=30e-6, estimate_m=30e-6)
     >>> round(pi.update(30e-6, 30e-6), 9)
     0.005
     """

@@ -38,7 +38,12 @@ _UNKNOWN = "?"
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0, 2 on bad input."""
+    """Run the command; return its exit status: 0, 2 on bad input.
+
+    Parameters
+    ----------
+    args : arguments of the command line; those of the process by default
+    """
     parser = argparse.ArgumentParser(prog="describe", description=_DESCRIPTION, allow_abbrev=False)
     parser.add_argument("--bag", type=Path, required=True, help="bag of the device")
     parser.add_argument("--drive", help="channel that drives the device (default: what the names suggest)")

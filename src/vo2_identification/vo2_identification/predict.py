@@ -29,7 +29,12 @@ _TIME = ("time_s", "time")
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0, 2 on bad input, 130 after Ctrl-C."""
+    """Run the command; return its exit status: 0, 2 on bad input, 130 after Ctrl-C.
+
+    Parameters
+    ----------
+    args : arguments of the command line; those of the process by default
+    """
     options = _parser().parse_args(args)
     try:
         return _run(options)
@@ -69,7 +74,13 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def predicted_recording(prediction: Prediction, device: DeviceDescription) -> Recording:
-    """Return drive, predicted responses and their bounds under the device's own channel names."""
+    """Return drive, predicted responses and their bounds under the device's own channel names.
+
+    Parameters
+    ----------
+    prediction : in roles
+    device : whose channel names are used
+    """
     channels = {device.drive_channel: prediction.drive}
     for role, one in prediction.channels.items():
         name = device.names[role]
@@ -94,7 +105,13 @@ def summary(prediction: Prediction, device: DeviceDescription) -> list[str]:
 
 
 def prediction_page(prediction: Prediction, model: DeviceModel) -> str:
-    """Return the page: each response over the time and over the drive."""
+    """Return the page: each response over the time and over the drive.
+
+    Parameters
+    ----------
+    prediction : in roles
+    model : that made it
+    """
     from vo2_models.page.figures import COLOURS, figure_html, new_figure
     from vo2_models.page.page import page, paragraph, section
 

@@ -68,6 +68,10 @@ def predict(model: DeviceModel, recording: Recording) -> Prediction:
     model : fitted
     recording : in roles; at least a drive. Its command delay is the model's
 
+    Returns
+    -------
+    Predicted responses with their bounds, on the regular grid of the recording.
+
     Raises
     ------
     ValueError : no drive, fewer than 16 samples, or gaps that are too long.

@@ -180,6 +180,16 @@ def nonnegative_weights(normal: Floats, right: Floats, bounded: int) -> Floats:
 
     The free elements are eliminated; the rest is least squares with the Cholesky factor, by Lawson and Hanson's active
     set, which always ends, also where plays are alike.
+
+    Parameters
+    ----------
+    normal : (n, n) matrix N
+    right : (n,) vector r
+    bounded : number of elements that are not negative, the first ones
+
+    Returns
+    -------
+    (n,) x
     """
     free = cho_factor(normal[bounded:, bounded:])
     cross = normal[:bounded, bounded:]

@@ -48,6 +48,10 @@ def basis_pursuit(
     tolerance : relative duality gap to stop at
     iterations : at most so many (of the splitting; the interior-point method needs 10 to 20)
 
+    Returns
+    -------
+    The minimiser (n,), with how it was reached.
+
     Raises
     ------
     ValueError : shapes that do not fit, rows not orthonormal, or a negative noise bound.
