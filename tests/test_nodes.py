@@ -44,7 +44,7 @@ def test_all_parameters_of_every_node_are_got_at_once_as_ros2_param_dump_asks(gr
 @pytest.mark.parametrize(
     ("executable", "parameter", "message"),
     [
-        *[(node, "preset:=foo", "preset: need one of integrated, peltier") for node in NODES],
+        *[(node, "preset:=foo", "need one of integrated, peltier") for node in NODES],
         ("plant", "rate_hz:=-1.0", "rate_hz: need a number with a decimal point, 0 to 20000 Hz"),
         ("plant", "effects:='{antigravity: {g: 1}}'", "antigravity"),
         ("plant", "source:=model", "source: found model, need model.* parameters"),
