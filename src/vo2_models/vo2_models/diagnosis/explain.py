@@ -130,18 +130,6 @@ def _unit(hypothesis: Hypothesis, name: str, value: float) -> float:
     return abs(value) * hypothesis.scales[name] if hypothesis.logarithmic(name) else hypothesis.scales[name]
 
 
-def _moved(hypothesis: Hypothesis, name: str, value: float, step: float) -> float:
-    """The value after a step in its coordinate, inside the bounds."""
-    low, high = hypothesis.bounds(name)
-    scale = hypothesis.scales[name]
-    new = (
-        value * float(np.exp(np.clip(step * scale, -2, 2)))
-        if hypothesis.logarithmic(name)
-        else value + step * scale
-    )
-    return float(np.clip(new, low, high))
-
-
 def score(
     problem: LinearisedProblem,
     hypotheses: Sequence[Hypothesis],
@@ -434,8 +422,8 @@ class _Joint:
         for place, (k, name) in enumerate(self.coordinates):
             for step in (0.5, -0.5):  # at a bound: look the other way
                 moved = [dict(v) for v in values]
-                moved[k][name] = _moved(self.hypotheses[k], name, values[k][name], step)
-                actual = _distance(self.hypotheses[k], name, values[k][name], moved[k][name])
+                moved[k][name] = self.hypotheses[k].moved(name, values[k][name], step)
+                actual = self.hypotheses[k].distance(name, values[k][name], moved[k][name])
                 if abs(actual) > 0.1:
                     trials.append(self._merged(moved))
                     lengths.append(actual)
@@ -517,8 +505,8 @@ class _Joint:
         free = np.ones(right.size, dtype=bool)
         for place, (k, name) in enumerate(self.coordinates):
             hypothesis, old = self.hypotheses[k], values[k][name]
-            there = _moved(hypothesis, name, old, float(np.sign(right[place])))
-            free[place] = abs(_distance(hypothesis, name, old, there)) > 1e-3
+            there = hypothesis.moved(name, old, float(np.sign(right[place])))
+            free[place] = abs(hypothesis.distance(name, old, there)) > 1e-3
         return free
 
     def _step(
@@ -538,14 +526,6 @@ class _Joint:
         moved = np.zeros(right.size)
         for place, (k, name) in enumerate(self.coordinates):
             hypothesis, old = self.hypotheses[k], values[k][name]
-            trial[k][name] = _moved(hypothesis, name, old, float(step[place]))
-            moved[place] = _distance(hypothesis, name, old, trial[k][name])
+            trial[k][name] = hypothesis.moved(name, old, float(step[place]))
+            moved[place] = hypothesis.distance(name, old, trial[k][name])
         return trial, moved
-
-
-def _distance(hypothesis: Hypothesis, name: str, old: float, new: float) -> float:
-    """Difference of two values in the parameter's coordinate."""
-    scale = hypothesis.scales[name]
-    if hypothesis.logarithmic(name):
-        return float(np.log(new / old)) / scale if old > 0 and new > 0 else 0.0
-    return (new - old) / scale

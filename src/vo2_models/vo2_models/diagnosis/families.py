@@ -8,13 +8,10 @@ import numpy as np
 
 from vo2_models.diagnosis.nonparametric_correction import Shape
 from vo2_models.diagnosis.problem import LinearisedProblem
-from vo2_models.effects import Effect
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
-__all__ = ["family_of", "family_of_unnamed"]
+__all__ = ["family_of_unnamed"]
 
-_STAGES = {"driver": "drive", "thermal": "heat", "terminals": "film"}
-"""Stage -> family, where the words differ."""
 TAKES_PART = (0.1, 0.5)
 """Energy of a channel, as a share of what a temperature would make there of the excess of the other, below which the
 channel does not take part, as what heats the film shows in both; and the same of a channel in which the correction
@@ -37,19 +34,6 @@ BY_DEPENDENCE = {
     },
 }  # fmt: skip
 """Channel that alone takes part (empty for both) -> what the correction depends on -> family."""
-
-
-def family_of(record: Effect, signal: str) -> str:
-    """Return the family of an effect on a signal: that of its stage, for a sensor with the channel behind.
-
-    Parameters
-    ----------
-    record, signal : of the catalogue, and the channel it sits on, empty for none
-    """
-    if record.stage == "sensor":
-        late = any(p.name == "delay" for p in record.parameters)
-        return f"{'clock' if late else 'sensor'}:{signal}"
-    return _STAGES.get(record.stage, record.stage)
 
 
 def family_of_unnamed(

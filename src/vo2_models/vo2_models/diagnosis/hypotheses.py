@@ -117,6 +117,20 @@ class Hypothesis:
         parameter = self.parameter(name)
         return float(parameter.default) > 0 and float(parameter.lower or 0.0) > 0  # type: ignore[arg-type]
 
+    def moved(self, name: str, value: float, step: float) -> float:
+        """Return a value after a step in the parameter's coordinate, in units of its scale, inside the bounds."""
+        change = step * self.scales[name]
+        if self.logarithmic(name):
+            return float(np.clip(value * np.exp(np.clip(change, -2, 2)), *self.bounds(name)))
+        return float(np.clip(value + change, *self.bounds(name)))
+
+    def distance(self, name: str, old: float, new: float) -> float:
+        """Return the difference of two values in the parameter's coordinate, in units of its scale."""
+        scale = self.scales[name]
+        if self.logarithmic(name):
+            return float(np.log(new / old)) / scale if old > 0 and new > 0 else 0.0
+        return (new - old) / scale
+
 
 def hypotheses(problem: LinearisedProblem, device: str, residual: Floats) -> list[Hypothesis]:
     """Return every hypothesis that can show in the recordings' channels.

@@ -11,7 +11,7 @@ from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.breakdown import locate
 from vo2_models.diagnosis.check import limits_in_words
 from vo2_models.diagnosis.explain import Explanation
-from vo2_models.diagnosis.families import family_of, family_of_unnamed
+from vo2_models.diagnosis.families import family_of_unnamed
 from vo2_models.diagnosis.hypotheses import Hypothesis
 from vo2_models.diagnosis.nominal import JUDGED_UNIT
 from vo2_models.diagnosis.result import (
@@ -271,7 +271,7 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
                     record.equation,
                     parameters,
                     hypothesis.signal or None,
-                    family_of(record, hypothesis.signal),
+                    record.family(hypothesis.signal),
                     _form(hypothesis, study.decision.chosen.values[index]),
                     [theirs for ours, theirs in study.decision.rival_pairs if ours == record.id],
                 )

@@ -236,7 +236,8 @@ class Effect:
     def family(self, signal: str = "") -> str:
         """Return the family of the contract: drive, heat, transition, film, structure, sensor:CHANNEL, clock:CHANNEL."""
         if self.stage == "sensor":
-            return f"{'clock' if self.id == 'clock_offset' else 'sensor'}:{signal}"
+            late = any(p.name == "delay" for p in self.parameters)
+            return f"{'clock' if late else 'sensor'}:{signal}"
         return _FAMILIES.get(self.stage, self.stage)
 
     def neutral(self) -> dict[str, float]:
