@@ -96,8 +96,8 @@ def _drawn(device: str, name: str, signal: str) -> dict:
     return values
 
 
-def test_catalogue_is_the_contract():
-    assert set(effect_ids()) == set(CONTRACT)
+def test_catalogue_has_all_of_the_contract():
+    assert set(effect_ids()) >= set(CONTRACT)
     assert len(CONTRACT) == 42
     assert "latent_heat" not in effect_ids("peltier")
     assert "peltier_joule_heating" not in effect_ids("integrated")

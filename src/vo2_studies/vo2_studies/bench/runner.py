@@ -7,16 +7,21 @@ import importlib
 import json
 import os
 import pkgutil
+import subprocess
 import sys
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import median
 
 from vo2_studies.bench.entry import Entry, Figure
 
-__all__ = ["entries", "main", "select", "table"]
+__all__ = ["entries", "main", "paired", "select", "table"]
 
 _POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _FRAMEWORK = {"__main__", "entry", "runner", "timing", "wall_loops"}
+PAIRS = 5
+"""Rounds of a comparison with another checkout."""
 
 
 def entries(package: str = "vo2_studies.bench") -> dict[str, Entry]:
@@ -67,24 +72,67 @@ def table(entry: Entry, figure: Figure) -> str:
     return (columns + figure.note).rstrip()
 
 
-def _options(arguments: Sequence[str]) -> tuple[Path | None, list[str]]:
-    """--json FILE and --only NAME ... in any order."""
+def paired(entry: Entry, checkout: Path) -> Figure:
+    """Measure an entry here and in another checkout in turn, each time in a process of its own.
+
+    Parameters
+    ----------
+    entry : measured
+    checkout : folder with a `vo2` and an entry of this name
+
+    Returns
+    -------
+    Figure : median here; the median there is its yardstick
+
+    Raises
+    ------
+    ValueError : what runs there does not give the figure.
+    """
+    here = [sys.executable, "-m", "vo2_studies.bench"]
+    there = [str(checkout / "vo2"), "bench"]
+    values: tuple[list[float], list[float]] = ([], [])
+    unit = ""
+    with tempfile.TemporaryDirectory() as folder:
+        told = Path(folder, "figures.json")
+        for _ in range(PAIRS):
+            for command, into in zip((here, there), values, strict=True):
+                asked = [*command, "--only", entry.name, "--json", str(told)]
+                run = subprocess.run(asked, capture_output=True, text=True, check=False)
+                if run.returncode or not told.exists():
+                    last = (run.stderr or run.stdout).strip().splitlines()[-1:]
+                    raise ValueError(f"{command[0]}: measured no {entry.name}: {' '.join(last)}")
+                figure = json.loads(told.read_text(encoding="utf-8"))[entry.name]
+                told.unlink()
+                into.append(figure["value"])
+                unit = figure["unit"]
+    ratios = [ours / theirs for ours, theirs in zip(*values, strict=True) if theirs]
+    note = f"yardstick: {checkout}; {PAIRS} pairs"
+    note += f", ratios {min(ratios):.3f} to {max(ratios):.3f}" if ratios else ""
+    return Figure(median(values[0]), unit, median(values[1]), note)
+
+
+def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="bench", description="Speed figures against yardsticks of the same run."
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures to this file")
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="measure these entries only")
-    given = parser.parse_args(arguments)
-    return given.json, given.only
+    parser.add_argument(
+        "--against", type=Path, metavar="CHECKOUT", help="measure them in another checkout as well, in turn"
+    )
+    return parser.parse_args(arguments)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmarks; 0 if they ran, 2 on unusable input with one line on standard error."""
-    target, only = _options(sys.argv[1:] if arguments is None else arguments)
+    given = _options(sys.argv[1:] if arguments is None else arguments)
+    target = given.json
     # the figures are for a single thread: said before any numerical library starts its pool
     os.environ.update(dict.fromkeys(_POOLS, "1"))
     try:
-        chosen = select(entries(), only)
+        chosen = select(entries(), given.only)
+        if given.against is not None and not (given.against / "vo2").is_file():
+            raise ValueError(f"--against: found no vo2 in {given.against}, need another checkout")
     except ValueError as error:
         print(f"bench: {error}", file=sys.stderr)
         return 2
@@ -92,7 +140,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(head.rstrip(), flush=True)
     figures: dict[str, dict[str, float | str | None]] = {}
     for entry in chosen:
-        figure = entry.run()
+        try:
+            figure = entry.run() if given.against is None else paired(entry, given.against.resolve())
+        except ValueError as error:
+            print(f"bench: {error}", file=sys.stderr)
+            return 2
         figures[entry.name] = figure.record()
         print(table(entry, figure), flush=True)
     if target is not None:

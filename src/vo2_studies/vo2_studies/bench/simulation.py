@@ -13,7 +13,7 @@ from vo2_models.hysteresis.play_bank import PlayBank
 
 from vo2_studies.bench.entry import Entry, Figure
 
-__all__ = ["ENTRIES"]
+__all__ = ["ENTRIES", "fitted_chain"]
 
 _SAMPLES = 200_000
 _PLAYS = 10
@@ -37,8 +37,8 @@ def _rate(simulation: Simulation, repeats: int = 7) -> float:
     return current.size / best
 
 
-def _fitted() -> Simulation:
-    """A chain with all stages and a full loop in both channels, as `fit` writes it."""
+def fitted_chain() -> Simulation:
+    """Return a chain with all stages and a full loop in both channels, as `fit` writes it."""
     half = np.linspace(1.5, 5.5, _PLAYS)
     centre = np.linspace(60.0, 57.0, _PLAYS)
     slope = np.full(_PLAYS, 0.28)
@@ -59,12 +59,12 @@ def _fitted() -> Simulation:
 
 def simulation() -> Figure:
     """The fitted simulation: driver, heat, two loops of ten plays with own envelopes, structure, four sensors."""
-    return Figure(_rate(_fitted()), "samples/s", note=f"one core, 2 x {_PLAYS} plays, no effect")
+    return Figure(_rate(fitted_chain()), "samples/s", note=f"one core, 2 x {_PLAYS} plays, no effect")
 
 
 def simulation_feedback() -> Figure:
     """The same with an effect that acts back on the heat: several thermal steps a sample and a root each."""
-    rate = _rate(_fitted().with_effects({"latent_heat": {"latent": 10.0}}), 3)
+    rate = _rate(fitted_chain().with_effects({"latent_heat": {"latent": 10.0}}), 3)
     return Figure(rate, "samples/s", note="one core, latent heat")
 
 
