@@ -23,8 +23,8 @@ KEYS = {
     "yaml": "python3-yaml",
 }
 """Module -> key of rosdistro's python.yaml; a ROS package has its own name."""
-WITHOUT_KEY = {"clarabel", "threadpoolctl"}
-"""rosdistro knows no key: comes with pip, see requirements.txt."""
+WITHOUT_KEY = {"clarabel", "distributed", "pyarrow", "threadpoolctl"}
+"""rosdistro knows no key: comes with pip, see requirements.txt (distributed: the extra `dask` of vo2_identification)."""
 WITH_ANOTHER = {
     "cycler": "matplotlib",
     "backports": "rosbags",

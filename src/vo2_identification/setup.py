@@ -25,7 +25,7 @@ setup(
     description=PACKAGE.findtext("description"),
     license=PACKAGE.findtext("license"),
     # newer setuptools drops tests_require, and colcon would then silently run no test
-    extras_require={"test": ["pytest"]},
+    extras_require={"test": ["pytest"], "dask": ["distributed==2026.8.0"]},
     entry_points={
         "console_scripts": [
             "identifier = vo2_identification.identifier_node:main",

@@ -15,14 +15,14 @@ from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, 
 if TYPE_CHECKING:
     from vo2_models.identification.device_fit import FitResult
 
-__all__ = ["main"]
+__all__ = ["MARK", "main", "of_device"]
 
 _DESCRIPTION = """
 Fit driver, thermal model, resistance, deflection and sensors of a device to one or more bags of a quasi-static recording
 (a damped oscillation), and write the model file that plant, estimator, controller and feedforward load. The uncertainty
 of each parameter and the residual of each channel stand in the file.
 """
-_MARK = "fitted by `fit`"
+MARK = "fitted by `fit`"
 """Begins the first line of a model file that this command may replace."""
 _UNITS = {
     RESISTANCE: ("log10 ohm", 1.0),
@@ -38,9 +38,12 @@ def main(args: Sequence[str] | None = None) -> int:
     ----------
     args : command line, None for that of the process
     """
-    options = _parser().parse_args(args)
+    parser = _parser()
+    options = parser.parse_args(args)
+    if bool(options.bag) == bool(options.bags):
+        parser.error("need --bag BAG, which may be repeated, or --bags FOLDER")
     try:
-        return _run(options)
+        return _run_folder(options) if options.bags else _run(options)
     except KeyboardInterrupt:
         print(f"fit: interrupted; {options.output} is not written", file=sys.stderr)
         return 130
@@ -63,7 +66,7 @@ def _run(options: argparse.Namespace) -> int:
             recording, problems = read_recording(bag, device=device)
             for problem in in_few_lines(problems):
                 print(f"fit: {bag}: {problem}", file=sys.stderr)
-            recordings.append(_of_device(recording, options.device, bag))
+            recordings.append(of_device(recording, options.device, bag))
         names = [str(bag) for bag in options.bag]
         result, parameters = fit_model(
             recordings,
@@ -73,7 +76,7 @@ def _run(options: argparse.Namespace) -> int:
             names=names,
             self_sensing=not options.simulation_only,
         )
-        save_model_parameters(options.output, parameters, comment=f"{_MARK} to {', '.join(names)}")
+        save_model_parameters(options.output, parameters, comment=f"{MARK} to {', '.join(names)}")
     except ValueError as error:
         return _refuse(one_line(error))
     except OSError as error:
@@ -82,6 +85,17 @@ def _run(options: argparse.Namespace) -> int:
         print(line)
     print(f"wrote {options.output} in {time.monotonic() - begun:.1f} s")
     return 0
+
+
+def _run_folder(options: argparse.Namespace) -> int:
+    from vo2_identification.batch import fit_folder
+
+    try:
+        return fit_folder(options)
+    except ValueError as error:
+        return _refuse(one_line(error))
+    except OSError as error:
+        return _refuse(f"{error.filename or options.output}: cannot be written ({error.strerror or error})")
 
 
 def _quiet(text: str, share: float) -> None:
@@ -99,8 +113,19 @@ def _progress(began: float) -> Callable[[str, float], None]:
     return say
 
 
-def _of_device(recording: Recording, device: str, bag: Path) -> Recording:
-    """Refuse a bag of another known device."""
+def of_device(recording: Recording, device: str, bag: Path) -> Recording:
+    """Return the recording; refuse that of another known device.
+
+    Parameters
+    ----------
+    recording : of the bag
+    device : that the command was given
+    bag : for the message
+
+    Raises
+    ------
+    ValueError : names both devices.
+    """
     from vo2_models.device.description import PRESETS, preset
 
     if recording.device in PRESETS and recording.device != preset(device).id:
@@ -118,7 +143,7 @@ def _check_place(output: Path) -> None:
     if output.exists():
         check_regular(output)
         with output.open("rb") as file:
-            if not file.read(len(_MARK) + 2).decode(errors="replace").startswith(f"# {_MARK}"):
+            if not file.read(len(MARK) + 2).decode(errors="replace").startswith(f"# {MARK}"):
                 raise InputError(
                     f"{output}: exists and was not written by fit; move it away or name another file"
                 )
@@ -155,15 +180,23 @@ def _refuse(message: str) -> int:
 def _parser() -> argparse.ArgumentParser:
     from vo2_models.effects.catalogue import add_effects_option
 
+    from vo2_identification.batch import add_batch_options
+
     parser = argparse.ArgumentParser(prog="fit", description=_DESCRIPTION)
     add_effects_option(parser)
     parser.add_argument(
-        "--bag", type=Path, action="append", required=True, help="bag to fit; may be repeated"
+        "--bag",
+        type=Path,
+        action="append",
+        help="bag to fit; may be repeated: one device, fitted to all of them",
     )
+    add_batch_options(parser)
     parser.add_argument(
         "--device", required=True, help="device: integrated, peltier, or the path of a device file"
     )
-    parser.add_argument("--output", type=Path, required=True, help="model file to write (YAML)")
+    parser.add_argument(
+        "--output", type=Path, required=True, help="model file to write (YAML); with --bags a folder"
+    )
     parser.add_argument("--plays", type=_plays, default=12, help="plays of each channel's loop (default 12)")
     parser.add_argument(
         "--simulation-only",

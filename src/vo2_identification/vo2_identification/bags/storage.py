@@ -17,7 +17,7 @@ from vo2_identification.bags.mcap_scan import scan_mcap
 from vo2_identification.bags.problems import BagError, Problem, limited
 from vo2_identification.bags.sqlite_scan import scan_sqlite
 
-__all__ = ["RawMessage", "raw_messages", "storage_files"]
+__all__ = ["RawMessage", "is_storage_file", "raw_messages", "storage_files"]
 
 _SCANNERS = {".mcap": scan_mcap, ".db3": scan_sqlite}
 _INFORMATION = "rosbag2_bagfile_information"
@@ -125,6 +125,16 @@ def _present_as(wanted: Path, present: list[Path]) -> Path | None:
     """Return the file itself, or its compressed or not yet compressed sibling."""
     names = (wanted.name, f"{wanted.name}.zstd", wanted.name.removesuffix(".zstd"))
     return next((one for name in names for one in present if one.name == name), None)
+
+
+def is_storage_file(path: Path) -> bool:
+    """Whether the name is that of a bag's storage file (.mcap, .db3, either with .zstd behind it).
+
+    Parameters
+    ----------
+    path : of the file
+    """
+    return _kind(path) is not None
 
 
 def _kind(path: Path) -> str | None:

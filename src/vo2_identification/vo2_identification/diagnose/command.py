@@ -24,14 +24,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit status: 0 whatever was found, 2 on unusable input."""
     from vo2_models.effects.catalogue import add_effects_option
 
+    from vo2_identification.batch import add_batch_options
+
     parser = argparse.ArgumentParser(
         prog="diagnose",
         description="Compare recordings with a fitted simulation: where they differ, what physics was left out, "
         "a corrected model, and what to record next.",
     )
     parser.add_argument(
-        "--bag", action="append", required=True, metavar="BAG", help="a recording; may be repeated"
+        "--bag", action="append", metavar="BAG", help="a recording; may be repeated: taken together"
     )
+    add_batch_options(parser)
     parser.add_argument(
         "--model", required=True, metavar="MODEL.yaml", help="what `fit` wrote for this device"
     )
@@ -54,6 +57,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--quiet", action="store_true", help="no progress")
     add_effects_option(parser)
     options = parser.parse_args(arguments)
+    if bool(options.bag) == bool(options.bags):
+        parser.error("need --bag BAG, which may be repeated, or --bags FOLDER")
+    if options.bags and options.next:
+        parser.error("--next plays on one device: give its recordings with --bag")
     try:
         return _run(options)
     except OSError as error:
@@ -75,7 +82,8 @@ def _run(options: argparse.Namespace) -> int:
     # after the arguments: a wrong option must not wait for the compiler
     from vo2_models.model_file import load_model_parameters
 
-    _outputs(output).check()
+    if not options.bags:
+        _outputs(output).check()
     parameters = load_model_parameters(options.model)
     from vo2_models.diagnosis.nominal import Nominal
 
@@ -83,6 +91,10 @@ def _run(options: argparse.Namespace) -> int:
         Nominal.from_parameters(parameters)
     except ValueError as error:
         raise ValueError(f"{options.model}: {error}; fit again") from error
+    if options.bags:
+        from vo2_identification.batch import diagnose_folder
+
+        return diagnose_folder(options, parameters)
     diagnosis = diagnose_bags(
         options.bag, parameters, output, calibration=options.calibration, quiet=options.quiet
     )

@@ -7,11 +7,22 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-__all__ = ["parallel_map"]
+__all__ = ["parallel_map", "use_cores"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 CORES = min(os.cpu_count() or 1, 8)
+
+
+def use_cores(count: int) -> None:
+    """Let this process take at most so many cores from now on: one of several that share the machine.
+
+    Parameters
+    ----------
+    count : 1 or more
+    """
+    global CORES
+    CORES = max(1, count)
 
 
 def parallel_map(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
@@ -22,7 +33,7 @@ def parallel_map(function: Callable[[Item], Result], items: Iterable[Item]) -> l
     what the function raises for the first item that fails; items not begun by then are left out.
     """
     several = list(items)
-    if len(several) < 2:
+    if len(several) < 2 or CORES == 1:
         return [function(item) for item in several]
     with ThreadPoolExecutor(max_workers=min(len(several), CORES)) as pool:
         return list(pool.map(function, several))
