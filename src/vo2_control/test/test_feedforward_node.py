@@ -119,7 +119,9 @@ def test_wall_time_a_plant_that_stops_leads_to_the_safe_current(fitted_model):
     with graph("time:=wall", "rate_hz:=20.0") as rig:
         rig.hear("/vo2/command", ("heater_current",))
         with_model(rig.add(FeedforwardNode), fitted_model)
-        for k in range(1, 6):  # the measured current follows: the loop closes
+        rig.say("/vo2/measurement", MS, {"heater_current": 0.0})
+        rig.spin(0.8)  # it listens for other commanders
+        for k in range(21, 26):  # the measured current follows: the loop closes
             last = command_of(rig, 50 * k)
         assert last > POINT.lower_a
         rig.until(lambda: rig.heard["/vo2/command"][-1][1][0] == 0.0)

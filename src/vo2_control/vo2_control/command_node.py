@@ -59,6 +59,8 @@ COMMAND_NODE_PARAMETERS = (
         "False: every sample waits for the set-point of its own stamp.",
     ),
 )
+_LISTEN_S = 0.5
+"""Wall time for which a node that has just found its input, or another commander, listens before it commands [s]."""
 _LATE = 1.5
 """Periods after which a sample that has not come counts as missing, and one that comes is too old to be answered."""
 
@@ -106,6 +108,7 @@ class CommandNode(Node):
         # in lockstep a command carries nothing that differs from run to run
         self._name: tuple[float, ...] = (float(secrets.randbits(32)),) if self._wall else ()
         self._rival_s, self._rival = -math.inf, math.nan
+        self._commanders, self._listen_until_s = 0, -math.inf
         self._rival_reader = SampleReader((COMMANDER,))
         self._writer = SampleWriter((*COMMAND_CHANNELS, *((COMMANDER,) if self._wall else ())), preset)
         self._publisher = self.create_publisher(JointState, COMMAND, SAMPLE_QOS)
@@ -178,6 +181,37 @@ class CommandNode(Node):
             return False
         return mode != "starting" or not self._rival > self._name[0]
 
+    def _listens(self, mode: str) -> bool:
+        """Whether it is too early to know that nobody else commands.
+
+        A node meets the others one after the other: its input may come before it hears who answers that. So it listens
+        from its first sample on, and anew where another commander appears, for several of the other's commands.
+        """
+        now = time.monotonic()
+        if mode == "idle":
+            before, self._commanders = self._commanders, self.count_publishers(COMMAND)
+            if self._commanders > before:
+                self._listen_until_s = now + max(_LISTEN_S, 2 * HOLD_SAMPLES * self._period_s)
+        return now < self._listen_until_s
+
+    def _holds_back(self, stamp_ns: int) -> bool:
+        """Wall time: whether a sample is left to another commander."""
+        supervisor = self._supervisor
+        if supervisor is not None:
+            supervisor.release(stamp_ns * 1e-9, followed=self._followed)
+        mode = supervisor.mode if supervisor is not None else "idle"
+        if self._stands_by(mode):
+            if supervisor is not None:
+                supervisor.stand_by()
+            self._diagnostics.report(
+                "input",
+                "warn",
+                f"another node commands on {COMMAND}: standing by until it is silent",
+                stamp_ns=stamp_ns,
+            )
+            return True
+        return mode in OPEN and self._listens(mode)
+
     def _on_source(self, data: bytes) -> None:
         stamp_ns, values = self._source_reader.read(data)
         order = self._order.judge(stamp_ns)
@@ -207,6 +241,11 @@ class CommandNode(Node):
         if self._waiting is None or not table["enabled"]:
             return
         stamp_ns, values = self._waiting
+        if self._wall and self._holds_back(stamp_ns):
+            self._waiting = None
+            self._order.accept(stamp_ns)
+            self._input_s = time.monotonic()
+            return
         if self._reference is None:
             if table["reference_hold"]:
                 self._miss(
@@ -242,17 +281,7 @@ class CommandNode(Node):
             # a newer one is on its way: of what piled up only that may move the law, or an integrator would run ahead
             self._miss(stamp_ns, f"samples on {self._source} come more than {_LATE:g} periods late")
             return
-        supervisor.release(stamp_ns * 1e-9, followed=self._followed)
         before = supervisor.mode
-        if self._wall and self._stands_by(before):
-            supervisor.stand_by()
-            self._diagnostics.report(
-                "input",
-                "warn",
-                f"another node commands on {COMMAND}: standing by until it is silent",
-                stamp_ns=stamp_ns,
-            )
-            return
         if before != "starting" and before in OPEN:
             self._echo.restart()
         decision = self._decide(supervisor, stamp_ns, values, reference)
@@ -298,7 +327,7 @@ class CommandNode(Node):
         """Wall time: a period without an answered sample is a missed input."""
         if self._order.last_ns is None or not self._table.flag("enabled"):
             return
-        if self._supervisor is not None and self._stands_by(self._supervisor.mode):
+        if self._holds_back(self._order.last_ns):
             return
         # the clock here and the arrival of samples drift against each other: a period without input is no gap yet
         now = time.monotonic()

@@ -132,7 +132,7 @@ def _work(connection: Connection) -> None:
     while True:
         try:
             number, task = connection.recv()
-        except EOFError:
+        except (EOFError, OSError):  # the owner has gone
             return
         try:
             found: Design | str = make_design(task)
