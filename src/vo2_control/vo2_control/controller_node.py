@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
 from dataclasses import replace
 
 from std_srvs.srv import Trigger
-from vo2_interface.executable import run_nodes
+from vo2_interface.executable import node_main
 from vo2_interface.topics import ESTIMATE, ESTIMATE_CHANNELS
 from vo2_models.parameters import Parameter
 
@@ -166,19 +165,7 @@ class ControllerNode(CommandNode):
         return response
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM.
-
-    Parameters
-    ----------
-    args : command line, None for that of the process
-
-    Returns
-    -------
-    int : exit status
-    """
-    return run_nodes(ControllerNode, args=args)
-
+main = node_main(ControllerNode)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from vo2_interface.executable import run_nodes
+from vo2_interface.executable import node_main
 from vo2_interface.topics import MEASUREMENT, SAFE_CURRENT_A
 
 from vo2_control.command_node import COMMAND_NODE_PARAMETERS, CommandNode
@@ -77,19 +76,7 @@ class FeedforwardNode(CommandNode):
         )
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM.
-
-    Parameters
-    ----------
-    args : command line, None for that of the process
-
-    Returns
-    -------
-    int : exit status
-    """
-    return run_nodes(FeedforwardNode, args=args)
-
+main = node_main(FeedforwardNode)
 
 if __name__ == "__main__":
     sys.exit(main())

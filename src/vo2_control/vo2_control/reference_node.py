@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from vo2_interface.diagnostics import Diagnostics
-from vo2_interface.executable import run_nodes
+from vo2_interface.executable import node_main
 from vo2_interface.inputs import SampleInput
 from vo2_interface.lockstep import StampOrder
 from vo2_interface.model import model_parameters
@@ -134,19 +133,7 @@ class ReferenceNode(Node):
         return reference_signal(table.text("preset"), signal)
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM.
-
-    Parameters
-    ----------
-    args : command line, None for that of the process
-
-    Returns
-    -------
-    int : exit status
-    """
-    return run_nodes(ReferenceNode, args=args)
-
+main = node_main(ReferenceNode)
 
 if __name__ == "__main__":
     sys.exit(main())

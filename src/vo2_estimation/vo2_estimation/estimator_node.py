@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from vo2_interface.diagnostics import Diagnostics
-from vo2_interface.executable import run_nodes
+from vo2_interface.executable import node_main
 from vo2_interface.inputs import SampleInput
 from vo2_interface.lockstep import StampOrder
 from vo2_interface.model import model_parameters
@@ -252,10 +252,7 @@ class EstimatorNode(Node):
         return ResistanceCheck(sensor_limits(table.text("preset"), given, lower_ohm=low, upper_ohm=high))
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM."""
-    return run_nodes(EstimatorNode, args=args)
-
+main = node_main(EstimatorNode)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,7 +25,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from vo2_interface.diagnostics import Diagnostics
 from vo2_interface.emergency_stop import EmergencyStop
-from vo2_interface.executable import run_nodes
+from vo2_interface.executable import node_main
 from vo2_interface.inputs import SampleInput
 from vo2_interface.lockstep import StampOrder
 from vo2_interface.model import model_parameters, operating_point
@@ -422,19 +422,7 @@ def _run_fit(fit: _Fit, fitting: Callable[[Recording], Mapping[str, Value]]) -> 
         fit.error = f"the fit broke down: {error!r}; the log has the traceback"
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM.
-
-    Parameters
-    ----------
-    args : command line, None for that of the process
-
-    Returns
-    -------
-    int : exit status
-    """
-    return run_nodes(IdentifierNode, args=args)
-
+main = node_main(IdentifierNode)
 
 if __name__ == "__main__":
     sys.exit(main())

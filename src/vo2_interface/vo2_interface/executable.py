@@ -32,6 +32,7 @@ __all__ = [
     "fastest_executor",
     "join_graph",
     "leave_graph",
+    "node_main",
     "run_nodes",
 ]
 
@@ -257,6 +258,24 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
         stop.obeyed()
         _close(nodes)
         leave_graph(executor, nodes)
+
+
+def node_main(make_node: Callable[[], Node]) -> Callable[..., int]:
+    """Return the `main` of an executable that runs one node.
+
+    Parameters
+    ----------
+    make_node : see `run_nodes`
+
+    Returns
+    -------
+    callable : takes the command line, None for that of the process, and returns the exit status
+    """
+
+    def main(args: Sequence[str] | None = None) -> int:
+        return run_nodes(make_node, args=args)
+
+    return main
 
 
 def _close(nodes: Iterable[Node]) -> None:

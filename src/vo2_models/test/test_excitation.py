@@ -1,5 +1,7 @@
 """Excitation sequences: counts and order by definition, timing, and the composite recording."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from vo2_models.identification.excitation import (
@@ -80,9 +82,8 @@ def test_composite_recording_covers_the_range_and_names_its_segments(cold, hot, 
     current = play.sample(period)
     assert current.size == pytest.approx(20000, rel=0.01)
     assert current.min() == pytest.approx(min(cold, hot)) and current.max() == pytest.approx(max(cold, hot))
-    names = play.segment_names(period)
-    assert len(names) == current.size and "" not in names
-    assert {n.split(",")[0] for n in names} == {
+    names = [name for name, _, _ in play.segments]
+    assert {name.split(",")[0] for name in names} == {
         "major loop",
         "steps",
         "reversal fan",
@@ -90,7 +91,9 @@ def test_composite_recording_covers_the_range_and_names_its_segments(cold, hot, 
         "random levels",
         "hold",
     }
-    inside = current[[n == "chirp, inside the transition" for n in names]]
+    assert all(stop == first for (_, _, stop), (_, first, _) in pairwise(play.segments))
+    _, first, stop = play.segments[names.index("chirp, inside the transition")]
+    inside = play.levels[first:stop]
     assert min(transition) < inside.min() and inside.max() < max(transition)
 
 

@@ -10,9 +10,10 @@ command that only parses its arguments does not wait for the compiler.
 ('integrated', 3)
 """
 
-from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any
+
+from vo2_models.lazy import lazy_names
 
 _HOME = {
     "simulate": "workflow",
@@ -35,19 +36,13 @@ _MODULES = [module.name for module in iter_modules(__path__) if not module.name.
 __all__ = sorted([*_HOME, *_MODULES])
 
 
+_load, __dir__ = lazy_names(__name__, {**_HOME, **{name: name for name in _MODULES}, "__version__": ""})
+
+
 def __getattr__(name: str) -> Any:
-    """Load a public name on first use (PEP 562)."""
-    if name in _HOME:
-        return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-    if name in _MODULES:
-        return import_module(f"{__name__}.{name}")
     if name == "__version__":
         # takes longer to load than all of this package
         from importlib.metadata import version
 
         return version(__name__)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+    return _load(name)

@@ -12,14 +12,13 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Sequence
 
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from vo2_interface.diagnostics import Diagnostics
 from vo2_interface.emergency_stop import EmergencyStop
-from vo2_interface.executable import run_nodes
+from vo2_interface.executable import node_main
 from vo2_interface.inputs import SampleInput
 from vo2_interface.lockstep import HOLD_SAMPLES, REPEAT_S
 from vo2_interface.model import model_parameters, operating_point
@@ -299,19 +298,7 @@ class PlantNode(Node):
             self._clock_out.publish(self._clock_writer.write(self._stamp_ns))
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM.
-
-    Parameters
-    ----------
-    args : command line, None for that of the process
-
-    Returns
-    -------
-    int : exit status
-    """
-    return run_nodes(PlantNode, args=args)
-
+main = node_main(PlantNode)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -6,8 +6,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from vo2_models.lazy import lazy_names
 
 if TYPE_CHECKING:
     from vo2_identification.bags.problems import BagError, Problem
@@ -36,10 +37,4 @@ _HOME = {
     "BagWriter": "writing",
     "write_bag": "writing",
 }
-
-
-def __getattr__(name: str) -> Any:
-    # rosbags takes half a second to import: only who reads or writes a bag pays for it
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__} has no attribute {name}")
-    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+__getattr__, __dir__ = lazy_names(__name__, _HOME)

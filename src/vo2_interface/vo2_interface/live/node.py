@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
 
 from rclpy.node import Node
 from std_msgs.msg import Bool
@@ -16,7 +15,7 @@ from vo2_models.parameters import Parameter
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION
 
 from vo2_interface.diagnostics import Diagnostics
-from vo2_interface.executable import run_nodes
+from vo2_interface.executable import node_main
 from vo2_interface.inputs import SampleInput
 from vo2_interface.live.frames import Frames
 from vo2_interface.live.server import LiveServer
@@ -101,15 +100,7 @@ class LiveNode(Node):
         self._server.close()
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM; return the exit status.
-
-    Parameters
-    ----------
-    args : command line, None for that of the process
-    """
-    return run_nodes(LiveNode, args=args)
-
+main = node_main(LiveNode)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -8,8 +8,7 @@ Names are loaded on first use, so that importing the package does not load the c
 ['commanded_current', 'film_resistance']
 """
 
-from importlib import import_module
-from typing import Any
+from vo2_models.lazy import lazy_names
 
 _HOME = {
     "PARAMETERS": "model",
@@ -25,16 +24,4 @@ _HOME = {
     "surrogate_of_temperature": "surrogate",
 }
 __all__ = sorted(_HOME)
-
-
-def __getattr__(name: str) -> Any:
-    """Load a public name on first use (PEP 562)."""
-    if name in _HOME:
-        value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-        globals()[name] = value
-        return value
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return list(__all__)
+__getattr__, __dir__ = lazy_names(__name__, _HOME)

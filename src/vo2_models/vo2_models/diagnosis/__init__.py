@@ -7,8 +7,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from vo2_models.lazy import lazy_names
 
 if TYPE_CHECKING:
     from vo2_models.diagnosis.check import Unusable
@@ -26,10 +27,4 @@ _HOME = {
     "study": "pipeline",
     "validate": "result",
 }
-
-
-def __getattr__(name: str) -> Any:
-    # the compiler and the simulation load only when something is diagnosed
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__} has no attribute {name}")
-    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+__getattr__, __dir__ = lazy_names(__name__, _HOME)

@@ -21,8 +21,7 @@ that importing the package does not load the compiler.
 [-1.998, 1.96, -1.96]
 """
 
-from importlib import import_module
-from typing import Any
+from vo2_models.lazy import lazy_names
 
 _HOME = {
     "LAWS": "laws",
@@ -68,14 +67,4 @@ _HOME = {
     "fit_play_model": "fitting_gpi",
 }
 __all__ = sorted(_HOME)
-
-
-def __getattr__(name: str) -> Any:
-    """Load a public name on first use (PEP 562)."""
-    if name in _HOME:
-        return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return list(__all__)
+__getattr__, __dir__ = lazy_names(__name__, _HOME)

@@ -119,28 +119,6 @@ def memoryless_value(terms, count, v):
     return total
 
 
-@exact
-def memoryless_slope(terms, count, v):
-    """Derivative of the sum of `count` packed memoryless terms at the input v."""
-    total = 0.0
-    at = 0
-    for _ in range(count):
-        kind = int(terms[at])
-        size = int(terms[at + 1])
-        if kind == POLYNOMIAL:
-            value = 0.0
-            for k in range(size - 1, 0, -1):
-                value = value * v + k * terms[at + 2 + k]
-        elif kind == SINE:
-            value = terms[at + 2] * terms[at + 3] * math.cos(terms[at + 3] * v + terms[at + 4])
-        else:
-            g = tanh(terms[at + 3] * v + terms[at + 4])
-            value = terms[at + 2] * terms[at + 3] * (1.0 - g) * (1.0 + g)
-        total += value
-        at += 2 + size
-    return total
-
-
 @summing_inline
 def _follow(direction, level, radii, weights, memory):
     """Move every play of a shared envelope and return the weighted sum of the plays.
@@ -302,14 +280,8 @@ def egpi_step(v, packed, state):
 
 
 @summing
-def egpi_peek(v, packed, state):
-    """Output the model would have after a move to v; the state stays as it is. O(N) scratch memory."""
-    return egpi_step(v, packed, state.copy())
-
-
-@summing
 def move_egpi(v, packed, memory, make):
-    """The law's compiled step, see `hysteresis.law`: `egpi_step`, or `egpi_peek` where the move is not made."""
+    """The law's compiled step, see `hysteresis.law`: `egpi_step`, on a copy of the memory where the move is not made."""
     return egpi_step(v, packed, memory if make else memory.copy())
 
 

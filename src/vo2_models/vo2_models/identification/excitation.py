@@ -225,14 +225,6 @@ class Excitation:
         share = np.clip(share, 0.0, 1.0)
         return np.asarray(before * (1 - share) + self.levels[index] * share, dtype=np.float64)
 
-    def segment_names(self, sample_period_s: float) -> list[str]:
-        """Return for each sample of `sample` the name of the segment it belongs to."""
-        names = [""] * self.levels.size
-        for name, first, stop in self.segments:
-            names[first:stop] = [name] * (stop - first)
-        index, _ = self._index(self._time(sample_period_s), sample_period_s)
-        return [names[k] for k in index]
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain lists, as JSON and YAML hold them."""
         return {

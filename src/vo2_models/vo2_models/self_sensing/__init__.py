@@ -5,8 +5,7 @@
 True
 """
 
-from importlib import import_module
-from typing import Any
+from vo2_models.lazy import lazy_names
 
 _HOME = {
     "KINDS": "records",
@@ -23,16 +22,4 @@ _HOME = {
     "characterise": "characterisation",
 }
 __all__ = sorted(_HOME)
-
-
-def __getattr__(name: str) -> Any:
-    """Load a public name on first use (PEP 562)."""
-    if name in _HOME:
-        value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-        globals()[name] = value
-        return value
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return list(__all__)
+__getattr__, __dir__ = lazy_names(__name__, _HOME)

@@ -7,12 +7,11 @@ It hears what the controller commands on `undisturbed`, adds the noise of the co
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from vo2_interface.diagnostics import Diagnostics
-from vo2_interface.executable import run_nodes
+from vo2_interface.executable import node_main
 from vo2_interface.model import operating_point
 from vo2_interface.parameters import ParameterTable
 from vo2_interface.samples import SampleReader, SampleWriter
@@ -56,10 +55,7 @@ class DisturbanceNode(Node):
         self._publisher.publish(self._writer.write(stamp_ns, (current + noise,)))
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM."""
-    return run_nodes(DisturbanceNode, args=args)
-
+main = node_main(DisturbanceNode)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -28,8 +28,7 @@ True
 (65.355, True)
 """
 
-from importlib import import_module
-from typing import Any
+from vo2_models.lazy import lazy_names
 
 _HOME = {
     "Compression": "compression",
@@ -47,15 +46,5 @@ _HOME = {
     "identify_preisach_compressed": "compressive_sensing",
     "signed_area_matrix": "signed_area",
 }
-
 __all__ = sorted(_HOME)
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOME:
-        return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return list(__all__)
+__getattr__, __dir__ = lazy_names(__name__, _HOME)
