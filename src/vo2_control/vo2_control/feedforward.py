@@ -22,6 +22,8 @@ from vo2_models.device.model import DeviceModel
 from vo2_models.hysteresis import RobustInverse
 from vo2_models.hysteresis.inverse_kernels import solve
 from vo2_models.hysteresis.kernels import egpi_step
+from vo2_models.hysteresis.law import Law
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.hysteresis.prandtl_ishlinskii import PlayModel
 from vo2_models.hysteresis.preisach.nonmonotonic import NonMonotonicPreisach
 from vo2_models.hysteresis.preisach.nonmonotonic_inverse import NonMonotonicInverse
@@ -81,6 +83,30 @@ class PlayInverse:
 
     def move(self, temperature_degc: float) -> float:
         return float(egpi_step(temperature_degc, self._model.packed, self._state))
+
+
+class LawSolver:
+    """Any law of the registry by its own inverse.
+
+    Parameters
+    ----------
+    law : deflection [m] over temperature [degC]
+    temperature_range : (low, high) temperatures allowed [degC]
+    """
+
+    def __init__(self, law: Law, temperature_range: tuple[float, float]) -> None:
+        self._law, self._low = law, temperature_range[0]
+        self._inverse = law.inverse(temperature_range)
+        self.reset()
+
+    def reset(self) -> None:
+        self._state = self._law.settle(self._low)
+
+    def wish(self, deflection_m: float) -> float:
+        return self._inverse.invert(deflection_m, self._state.copy()).input
+
+    def move(self, temperature_degc: float) -> float:
+        return self._law.step(temperature_degc, self._state)
 
 
 class PreisachInverse:
@@ -232,6 +258,14 @@ class InverseFeedforward:
         return np.array([a.current_a for a in rows]), np.array([a.expected_m for a in rows])
 
 
+def _inverse_of(law: Law, temperature_range: tuple[float, float]) -> HysteresisInverse:
+    if isinstance(law, PlayBank):
+        return PlayInverse(law.egpi(), temperature_range)
+    if isinstance(law, NonMonotonicPreisach):
+        return PreisachInverse(law)
+    return LawSolver(law, temperature_range)
+
+
 def feedforward_from_model(
     parameters: Mapping[str, Value],
     sample_period_s: float,
@@ -270,7 +304,7 @@ def feedforward_from_model(
         values["driver.dead_time"],
     )
     return InverseFeedforward(
-        PlayInverse(model.deflection.egpi(), (cold, ends[1])),
+        _inverse_of(model.deflection, (cold, ends[1])),
         thermal,
         limits or CurrentLimits(*nominal.current_range),
         sample_period_s,

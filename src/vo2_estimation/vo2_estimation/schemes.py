@@ -8,7 +8,8 @@ from typing import Protocol
 
 import numpy as np
 from vo2_interface.topics import ESTIMATE_CHANNELS
-from vo2_models.hysteresis import EGPI
+from vo2_models.hysteresis.law import Law
+from vo2_models.hysteresis.laws import law_from_parameters
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.parameters import Value
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
@@ -117,7 +118,7 @@ class DriveScheme:
 
     def restart(self) -> None:
         """Forget: the next sample comes from lower saturation."""
-        self._states = [law.initial_state() if law else np.empty(0) for law in self._laws]
+        self._states = [law.initial_memory() if law else np.empty(0) for law in self._laws]
 
     def bridge(self) -> None:
         """Samples before the next one were lost: it has no bound that could say so."""
@@ -129,7 +130,7 @@ class DriveScheme:
     def step(self, value: float) -> tuple[float, float]:
         """Return (deflection [m], resistance [ohm]) for the drive, NaN without its law."""
         deflection, resistance = (
-            float(law.update(value, state)) if law else math.nan
+            law.step(value, state) if law else math.nan
             for law, state in zip(self._laws, self._states, strict=True)
         )
         return deflection, 10.0**-resistance
@@ -154,6 +155,8 @@ def make_scheme(
     return ResistanceScheme(kind, parameters, resistance_range)
 
 
-def _law(section: str, parameters: Mapping[str, Value]) -> EGPI | None:
-    bank = PlayBank.from_parameters(section, parameters)
-    return bank.egpi() if bank.present and np.size(bank.weights) else None
+def _law(section: str, parameters: Mapping[str, Value]) -> Law | None:
+    law = law_from_parameters(section, parameters)
+    if isinstance(law, PlayBank):
+        return law.egpi() if law.present and np.size(law.weights) else None
+    return law

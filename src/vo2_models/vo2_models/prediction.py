@@ -134,7 +134,7 @@ def _compared(model: DeviceModel, role: str, value: Floats, measured: Floats | N
 def _has(model: DeviceModel, role: str) -> bool:
     """Whether the model says anything about a role."""
     banks = {RESISTANCE: model.resistance, "tip_deflection": model.deflection}
-    return role not in banks or bool(np.size(banks[role].weights))
+    return role not in banks or bool(np.ptp(banks[role].span))
 
 
 def _judged(role: str, values: Floats) -> Floats:

@@ -103,8 +103,9 @@ def run_chain(
 ):  # fmt: skip
     """Run the chain over `command` (n,) [A] and fill `out` (n, COLUMNS); all memories are updated in place.
 
-    `kind` : PLAYS or ENSEMBLE; `c` : coefficients as `Simulation.prepared` gives them; `packed_*`, `poly_*` : play
-    banks and polynomials; `levels`, `domains` : (2, 2, n) sorted populations; `normals` : (n, 4) standard normal numbers.
+    `kind` : PLAYS or ENSEMBLE; `c` : coefficients as `Simulation.prepared` gives them; `packed_*`, `poly_*` : laws as
+    `device.law_step` takes them, and polynomials;
+    `levels`, `domains` : (2, 2, n) sorted populations; `normals` : (n, 4) standard normal numbers.
     """
     c, poly_r, poly_d, x = borrow(c), borrow(poly_r), borrow(poly_d), borrow(x)
     packed_r, packed_d, play_r, play_d = borrow(packed_r), borrow(packed_d), borrow(play_r), borrow(play_d)

@@ -20,8 +20,8 @@ from vo2_models.device.assembly import FLAGS
 from vo2_models.device.coefficients import Coefficient as C
 from vo2_models.device.coefficients import first_flag
 from vo2_models.device.ensemble import count_above, ensemble_peek, ensemble_step
+from vo2_models.device.law_step import has_law, middle, move
 from vo2_models.device.state import Slot as S
-from vo2_models.hysteresis.play_bank import middle_plays, move_plays
 
 __all__ = [
     "ENSEMBLE",
@@ -67,7 +67,7 @@ def output_share(kind, which, raw, c):
 @inner
 def _move(kind, which, v, packed, play, levels, domains, metallic, x):
     if kind == PLAYS:
-        return move_plays(v, packed, play, True)
+        return move(v, packed, play, True)
     count = ensemble_step(v, x[S.PREVIOUS_R + which], which, levels, domains, metallic, x[S.COUNT_R + which])
     x[S.COUNT_R + which] = count
     x[S.PREVIOUS_R + which] = v
@@ -78,7 +78,7 @@ def _move(kind, which, v, packed, play, levels, domains, metallic, x):
 def _peek(kind, lead, v, packed, play, levels, domains, metallic, x):
     """Output of the transition `lead` after a move to v that is not made."""
     if kind == PLAYS:
-        return move_plays(v, packed, play, False)
+        return move(v, packed, play, False)
     count = ensemble_peek(v, x[S.PREVIOUS_R + lead], lead, levels, domains, metallic, x[S.COUNT_R + lead])
     return count / metallic.shape[1]
 
@@ -110,7 +110,7 @@ def _among_neighbours(
 
     A moving Preisach model feeds back the output of the same operator.
     """
-    if kind == PLAYS and (packed_d[0] if which == 1 else packed_r[0]) == 0.0:
+    if kind == PLAYS and not (has_law(packed_d) if which == 1 else has_law(packed_r)):
         return film
     felt = film + generated.feedback(c, x, output_share(kind, which, x[S.OUT_R + which], c))
     for _ in range(4):
@@ -128,8 +128,8 @@ def _among_neighbours(
 @inner
 def initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic):
     """Start from a long rest without current, insulating; memory as given."""
-    x[S.HAS_R] = 1.0 if kind == ENSEMBLE or packed_r[0] > 0.0 else 0.0
-    x[S.HAS_D] = 1.0 if kind == ENSEMBLE or packed_d[0] > 0.0 else 0.0
+    x[S.HAS_R] = 1.0 if kind == ENSEMBLE or has_law(packed_r) else 0.0
+    x[S.HAS_D] = 1.0 if kind == ENSEMBLE or has_law(packed_d) else 0.0
     before = -c[C.SAMPLE_PERIOD]
     drive = generated.heating(c, x, 0.0, 0.0, 0.0, before)
     generated.settle_driver(c, x, 0.0)
@@ -278,8 +278,8 @@ def warm(c, x, current, h, time):
 @inner
 def follow(c, x, effective, packed_r, packed_d, play_r, play_d):
     """Bring the transitions to an input [degC]. Where `FOLLOWS` is set."""
-    x[S.RAW_R] = move_plays(effective, packed_r, play_r, True)
-    x[S.RAW_D] = move_plays(effective + generated.structural_shift(c, x), packed_d, play_d, True)
+    x[S.RAW_R] = move(effective, packed_r, play_r, True)
+    x[S.RAW_D] = move(effective + generated.structural_shift(c, x), packed_d, play_d, True)
     x[S.EQUILIBRIUM_R] = x[S.RAW_R]
     x[S.EQUILIBRIUM_D] = x[S.RAW_D]
     x[S.OUT_R] = x[S.RAW_R]
@@ -356,7 +356,7 @@ def _anhysteretic(kind, which, v, packed, levels):
     """Output half way between the two major branches at the temperature v."""
     if kind == ENSEMBLE:
         return 0.5 * (count_above(levels, which, 0, v) + count_above(levels, which, 1, v)) / levels.shape[2]
-    return middle_plays(v, packed)
+    return middle(v, packed)
 
 
 @inner

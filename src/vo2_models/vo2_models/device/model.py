@@ -12,10 +12,12 @@ from numpy.typing import ArrayLike
 
 from vo2_models.device.coefficients import CHANNELS, Coefficient, Sensor, sensor_index
 from vo2_models.device.description import DeviceDescription, DeviceParameter, preset
+from vo2_models.device.law_step import pack_law
 from vo2_models.device.simulation import PLAYS, Simulation, nominal_coefficients
 from vo2_models.device.stepper import Stepper
 from vo2_models.effects import effects as catalogue
-from vo2_models.hysteresis.laws import bank_parameters
+from vo2_models.hysteresis.law import Law
+from vo2_models.hysteresis.laws import bank_parameters, law_from_parameters, law_parameters
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.model_file import load_model_parameters, save_model_parameters
 from vo2_models.parameters import Parameter, Value
@@ -123,8 +125,8 @@ PARAMETERS: tuple[Parameter, ...] = (
     ),
     *_scalar_parameters(),
     _DELAY,
-    *bank_parameters("model.resistance", "-log10 of the film resistance", "log10 ohm"),
-    *bank_parameters("model.deflection", "the tip deflection", "m"),
+    *law_parameters("model.resistance", "-log10 of the film resistance", "log10 ohm"),
+    *law_parameters("model.deflection", "the tip deflection", "m"),
     *_sensor_parameters(),
     *_effect_parameters(),
     *(
@@ -145,8 +147,8 @@ class DeviceModel:
     ----------
     device : id of a shipped device; the path of a device file, of which the model keeps the whole description
     scalars : values of `SCALARS`, in their units; absent ones are the preset's
-    resistance : law of -log10(R / ohm) over the film temperature
-    deflection : law of the tip deflection [m]; empty where the recording had none
+    resistance : any law of `hysteresis.laws`, of -log10(R / ohm) over the film temperature
+    deflection : the same of the tip deflection [m]; an empty bank of plays where the recording had none
     sensors : channel -> `SensorModel`
     effects : `{id: {parameter: value}}`, for a signal effect `{"id:channel": {..., "signal": channel}}`
     uncertainty : name (without `model.`) -> standard deviations
@@ -159,8 +161,8 @@ class DeviceModel:
 
     device: str
     scalars: Mapping[str, float] = field(default_factory=dict)
-    resistance: PlayBank = field(default_factory=PlayBank)
-    deflection: PlayBank = field(default_factory=PlayBank)
+    resistance: Law = field(default_factory=PlayBank)
+    deflection: Law = field(default_factory=PlayBank)
     sensors: Mapping[str, SensorModel] = field(default_factory=dict)
     effects: Mapping[str, Mapping[str, float | str]] = field(default_factory=dict)
     uncertainty: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
@@ -200,14 +202,18 @@ class DeviceModel:
             kind = Sensor.NOISE_RELATIVE if channel == RESISTANCE else Sensor.NOISE
             c[sensor_index(channel, kind)] = sensor.noise
             c[sensor_index(channel, Sensor.COLOUR)] = sensor.colour[0] if sensor.colour else 0.0
+        laws = (self.resistance, self.deflection)
+        plays = all(isinstance(law, PlayBank) for law in laws)
+        packed_r, packed_d = (law.packed if plays else pack_law(law) for law in laws)
+        poly_r, poly_d = (np.asarray(getattr(law, "polynomial", ()), dtype=np.float64) for law in laws)
         return Simulation(
             device=self.device,
             kind=PLAYS,
             coefficients=c,
-            packed_r=self.resistance.packed,
-            packed_d=self.deflection.packed,
-            poly_r=np.asarray(self.resistance.polynomial),
-            poly_d=np.asarray(self.deflection.polynomial),
+            packed_r=packed_r,
+            packed_d=packed_d,
+            poly_r=poly_r,
+            poly_d=poly_d,
         ).with_effects(self.effects)
 
     def simulate(
@@ -274,8 +280,8 @@ class DeviceModel:
         return cls(
             device=str(device),
             scalars={name: float(given[f"model.{name}"]) for name in SCALARS if f"model.{name}" in given},  # type: ignore[arg-type]
-            resistance=PlayBank.from_parameters("model.resistance", given),
-            deflection=PlayBank.from_parameters("model.deflection", given),
+            resistance=law_from_parameters("model.resistance", given),
+            deflection=law_from_parameters("model.deflection", given),
             sensors=sensors,
             effects=_effects_of(given),
             command_delay=float(given.get(_DELAY.name, 0.0)),  # type: ignore[arg-type]

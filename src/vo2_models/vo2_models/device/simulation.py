@@ -26,6 +26,7 @@ from vo2_models.device.coefficients import (
 )
 from vo2_models.device.core import ENSEMBLE, PLAYS
 from vo2_models.device.description import DeviceDescription, preset
+from vo2_models.device.law_step import first_memory, has_law
 from vo2_models.device.state import CURRENT_LINE, ChainState, Slot
 from vo2_models.effects import effects
 from vo2_models.recording import COMMANDED_CURRENT, Recording
@@ -89,7 +90,7 @@ class Simulation:
     device : preset id
     kind : member of the hysteresis interface, PLAYS or ENSEMBLE of `device.core`
     coefficients : vector as in `device.coefficients`
-    packed_r, packed_d : play banks as `hysteresis.kernels` packs them (PLAYS)
+    packed_r, packed_d : both play banks as `hysteresis.kernels` packs them, or both as `law_step.pack_law` does (PLAYS)
     poly_r, poly_d : polynomial coefficients in degC, lowest first (PLAYS)
     levels, domains : sorted populations, metallic and structural (ENSEMBLE)
     steps_per_constant : thermal steps per time constant where feedback needs them
@@ -117,12 +118,12 @@ class Simulation:
     @property
     def has_resistance(self) -> bool:
         """Whether there is a law of the metallic transition."""
-        return self.kind == ENSEMBLE or self.packed_r[0] > 0.0
+        return self.kind == ENSEMBLE or has_law(self.packed_r)
 
     @property
     def has_deflection(self) -> bool:
         """Whether there is a law of the structural transition."""
-        return self.kind == ENSEMBLE or self.packed_d[0] > 0.0
+        return self.kind == ENSEMBLE or has_law(self.packed_d)
 
     def active(self) -> list[str]:
         """Return the keys, `id` or `id:channel`, of the effects that are on."""
@@ -148,7 +149,10 @@ class Simulation:
         on = c[of.active] != 0.0
         feedback = self.force_feedback or bool(np.any(on & of.feedback))
         c[Coefficient.FEEDBACK] = float(feedback)
-        c[Coefficient.FOLLOWS] = float(self.kind == PLAYS and not np.any(on & of.every_step))
+        plays = (
+            self.kind == PLAYS and self.packed_r.ndim == 1
+        )  # which tell the input that they were last given
+        c[Coefficient.FOLLOWS] = float(plays and not np.any(on & of.every_step))
         c[first_flag() : first_flag() + of.flags.shape[0]] = of.flags @ on
         constant = c[Coefficient.TIME_CONSTANT]
         sensed = set()
@@ -176,7 +180,7 @@ class Simulation:
 
     def initial_state(self) -> ChainState:
         """Return the memory of a device that has rested without current, insulating, for long."""
-        banks = [_virgin(packed) for packed in (self.packed_r, self.packed_d)]
+        banks = [first_memory(packed) for packed in (self.packed_r, self.packed_d)]
         return ChainState(
             scalars=np.zeros(state_size()),
             play_r=banks[0],
@@ -291,15 +295,6 @@ class Simulation:
         channels |= {name: out[:, k] for k, name in enumerate(CHANNELS) if name in nominal.channels}
         inner = {TRUE_DEFLECTION: out[:, 4], FILM_TEMPERATURE: out[:, 5], TRUE_RESISTANCE: out[:, 6]}
         return Recording(period * np.arange(command.size, dtype=np.float64), channels | inner, self.device)
-
-
-def _virgin(packed: Floats) -> Floats:
-    """Memory of a play bank after a long rest far below every transition: each play at its lower end."""
-    count = int(packed[0])
-    state = np.empty(count + 1)
-    state[0] = -1e6
-    state[1:] = -1.0 + packed[6 + count : 6 + 2 * count]
-    return state
 
 
 __all__ += ["ENSEMBLE", "PLAYS", "noise_generators"]

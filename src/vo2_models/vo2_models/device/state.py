@@ -61,8 +61,8 @@ class ChainState:
     Attributes
     ----------
     scalars : (assembly.state_size(),) what `Slot` names, the coloured noise of each sensor, the states of all effects
-    play_r, play_d : (1 + N,) memories of the two play banks (empty for the ensemble)
-    metallic : (2, n) uint8, domains switched, metallic and structural (empty for the play banks)
+    play_r, play_d : memories of the two laws, (1 + N,) for play banks (empty for the ensemble)
+    metallic : (2, n) uint8, domains switched, metallic and structural (empty for the laws)
     line : (CURRENT_LINE,) delay line of the current [A]
     """
 

@@ -87,6 +87,11 @@ class Law(ABC):
     def span(self) -> tuple[float, float]:
         """Hysteretic output in lower and in upper saturation, without the polynomial [output unit]."""
 
+    @property
+    def present(self) -> bool:
+        """Whether there is a law at all; only an empty bank of plays stands for none."""
+        return True
+
     def present_input(self, memory: Floats) -> float:
         """Input that the memory was last moved to; -inf or inf straight after `initial_memory`."""
         return float(memory[0])

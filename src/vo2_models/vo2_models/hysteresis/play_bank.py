@@ -9,9 +9,10 @@ that the compiler takes several plays at a time.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -144,6 +145,14 @@ class PlayBank(Law):
         for part in fields(self):
             size = None if part.name == "polynomial" else count
             object.__setattr__(self, part.name, finite_array(getattr(self, part.name), part.name, size=size))
+
+    @classmethod
+    def from_parameters(cls, section: str, values: Mapping[str, Value]) -> Self:
+        """Return the bank of a section; as `Law.from_parameters`, and refuse a section of another law."""
+        written = values.get(f"{section}.law") or cls.name
+        if written != cls.name:
+            raise ValueError(f"{section}.law: found {written!r}, need {cls.name!r} here")
+        return super().from_parameters(section, values)
 
     @property
     def present(self) -> bool:

@@ -27,7 +27,7 @@ from vo2_models.self_sensing.bounds import bound_table, table_at
 from vo2_models.self_sensing.records import COMPOSITE
 from vo2_models.self_sensing.scheme import SelfSensing
 
-__all__ = ["CompositeSelfSensing"]
+__all__ = ["CompositeSelfSensing", "searched_temperatures"]
 
 Floats = NDArray[np.float64]
 
@@ -50,6 +50,13 @@ def composite_step(resistance, inverse, deflection, thermal, table, state):
     rise = temperature - thermal[0]
     surrogate = math.sqrt(max(rise, 0.0) / thermal[2]) if thermal[2] != 0.0 else rise / thermal[1]
     return tip, temperature, surrogate, table_at(table, -y)
+
+
+def searched_temperatures(device: str) -> tuple[float, float]:
+    """Temperatures that the inverse of a resistance law searches on the device, as `preset` takes it [degC]."""
+    nominal = preset(device)
+    ends = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
+    return min(ends[0] - _MARGIN_K, nominal.ambient - _MARGIN_K), ends[1] + _MARGIN_K
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +85,7 @@ class CompositeSelfSensing(SelfSensing):
     _thermal: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        nominal = preset(self.device)
-        ends = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
-        limits = (min(ends[0] - _MARGIN_K, nominal.ambient - _MARGIN_K), ends[1] + _MARGIN_K)
+        nominal, limits = preset(self.device), searched_temperatures(self.device)
         thermal = np.array([nominal.ambient, nominal.linear_gain, nominal.square_gain])
         object.__setattr__(self, "_inverse", RobustInverse(self.resistance, limits))
         object.__setattr__(self, "_thermal", thermal)

@@ -81,6 +81,8 @@ class StreamingMemory:
 
     def _is_known(self, other: Floats) -> bool:
         """Whether a memory is the one of the estimate: exactly, or as far as both ends of the loop in use tell."""
-        scale = float(np.max(np.abs(self._state), initial=0.0))
-        same = bool(np.max(np.abs(other - self._state), initial=0.0) <= _EQUAL * scale)
+        # turns that were never made are infinite
+        scale = float(np.max(np.abs(self._state), initial=0.0, where=np.isfinite(self._state)))
+        apart = other != self._state
+        same = bool(np.all(np.abs(other[apart] - self._state[apart]) <= _EQUAL * scale))
         return same or (self._met_hot and self._met_cold)

@@ -104,6 +104,11 @@ def self_sensing(kind: str, parameters: Mapping[str, Value]) -> SelfSensing:
     """
     if kind not in _CLASSES:
         raise ValueError(f"kind: found {kind!r}, need one of {', '.join(KINDS)}")
+    if kind == "composite" and "model.resistance.law" in parameters:
+        from vo2_models.self_sensing.law_composite import LawComposite
+
+        if LawComposite.serves(parameters):
+            return LawComposite.from_parameters(parameters)
     module, name = _CLASSES[kind].split(".")
     scheme: type[SelfSensing] = getattr(import_module(f"vo2_models.self_sensing.{module}"), name)
     return scheme.from_parameters(parameters)

@@ -95,8 +95,8 @@ def _identification(stage: Stage) -> str:
         "Identification",
         identification_figure(_picked(recording, settled), _picked(simulated, settled)),
         paragraph(
-            f"{len(recording)} samples. The resistance law has {len(model.resistance.weights)} plays, "  # type: ignore[arg-type]
-            f"the deflection law {len(model.deflection.weights)}; the model file beside this page loads into every node."  # type: ignore[arg-type]
+            f"{len(recording)} samples. The resistance law has {model.resistance.memory_size - 1} plays, "
+            f"the deflection law {model.deflection.memory_size - 1}; the model file beside this page loads into every node."
         ),
     )
 
