@@ -12,12 +12,12 @@ import time
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from vo2_interface.diagnostics import Diagnostics
 from vo2_interface.emergency_stop import EmergencyStop
 from vo2_interface.inputs import SampleInput
 from vo2_interface.lockstep import HOLD_SAMPLES, SampleAge, StampOrder
+from vo2_interface.managed import AUTOSTART, ManagedNode
 from vo2_interface.model import model_parameters, operating_point
 from vo2_interface.parameters import ParameterTable
 from vo2_interface.samples import SampleReader, SampleWriter
@@ -48,6 +48,7 @@ COMMAND_NODE_PARAMETERS = (
         "",
         "Device: integrated, peltier, or the path of a device file.",
     ),
+    AUTOSTART,
     Parameter("enabled", True, "", "Whether the node commands; off, it only listens."),
     Parameter("time", "lockstep", "", "Whose pace the loop keeps.", choices=("lockstep", "wall")),
     Parameter("rate_hz", 0.0, "Hz", "Sampling rate; 0 for the preset's.", 0.0, 20e3),
@@ -65,11 +66,11 @@ _LATE = 1.5
 """Periods after which a sample that has not come counts as missing, and one that comes is too old to be answered."""
 
 
-class CommandNode(Node):
+class CommandNode(ManagedNode):
     """A node that answers each sample of `source` together with its set-point.
 
-    A node built on it makes `_supervisor` (None: the safe current for every sample), calls `_listen` when it is ready,
-    and implements `_restart`, `_rebuild` and `_decide`.
+    A node built on it makes `_supervisor` in `_configure` (None: the safe current for every sample), calls `_listen` at
+    the end of its constructor, and implements `_restart`, `_rebuild` and `_decide`.
 
     Parameters
     ----------
@@ -84,7 +85,7 @@ class CommandNode(Node):
         self._table = ParameterTable(
             self,
             (*COMMAND_NODE_PARAMETERS, *records, *model_parameters()),
-            read_only=("preset", "time", "rate_hz"),
+            read_only=("preset", "time", "rate_hz", "autostart"),
             judge=self._judge,
         )
         self._revision = self._table.revision
@@ -115,19 +116,33 @@ class CommandNode(Node):
         self._diagnostics.watch_listeners(self._publisher)
 
     def _listen(self) -> None:
-        """Begin to take samples: last, so that none waits for what the node builds."""
-        SampleInput(self, REFERENCE, self._on_reference, self._diagnostics, latched=True)
-        SampleInput(self, self._source, self._on_source, self._diagnostics)
+        """Begin to live: samples are taken last, so that none waits for what the node builds."""
+        self._manage(self._diagnostics, autostart=self._table.flag("autostart"))
+        SampleInput(self, REFERENCE, self._guarded(self._on_reference), self._diagnostics, latched=True)
+        SampleInput(self, self._source, self._guarded(self._on_source), self._diagnostics)
         if self._wall:
             SampleInput(self, MEASUREMENT, self._on_current, self._diagnostics)
             SampleInput(self, COMMAND, self._on_command, self._diagnostics, steady=False)
-            create_steady_timer(self, self._period_s, self._on_tick)
+            create_steady_timer(self, self._period_s, self._guarded(self._on_tick))
 
-    def close(self) -> None:
+    def _activate(self) -> None:
+        """Begin as for a device that has been switched on, and listen for other commanders first."""
+        self._order, self._age = StampOrder(), SampleAge()
+        self._waiting, self._answer = None, b""
+        self._commanders, self._listen_until_s = 0, -math.inf
+        self._echo.restart()
+        self._restart()
+
+    def _rest(self) -> None:
         """Leave the device at the safe current (wall time; in lockstep no time passes without us)."""
         commands = self._supervisor is not None and self._supervisor.mode != "idle"
         if self._wall and commands and self._table.flag("enabled") and self._order.last_ns is not None:
             self._publish(self._present_ns(), SAFE_CURRENT_A)
+        if self._supervisor is not None:
+            self._supervisor.stand_by()
+
+    def _cleanup(self) -> None:
+        self._supervisor = None
 
     # --- what a node built on this one adds ---------------------------------------------------------
 
@@ -216,7 +231,7 @@ class CommandNode(Node):
         stamp_ns, values = self._source_reader.read(data)
         order = self._order.judge(stamp_ns)
         if order == "repeat":
-            if self._answer and not self._wall and self._table.flag("enabled"):
+            if self._answer and self.active and not self._wall and self._table.flag("enabled"):
                 self._publisher.publish(self._answer)
             return
         if order == "late":
@@ -238,7 +253,7 @@ class CommandNode(Node):
     def _act(self) -> None:
         """Answer the waiting sample if its set-point is there."""
         table = self._table
-        if self._waiting is None or not table["enabled"]:
+        if not self.active or self._waiting is None or not table["enabled"]:
             return
         stamp_ns, values = self._waiting
         if self._wall and self._holds_back(stamp_ns):
@@ -325,7 +340,7 @@ class CommandNode(Node):
 
     def _on_tick(self) -> None:
         """Wall time: a period without an answered sample is a missed input."""
-        if self._order.last_ns is None or not self._table.flag("enabled"):
+        if not self.active or self._order.last_ns is None or not self._table.flag("enabled"):
             return
         if self._holds_back(self._order.last_ns):
             return

@@ -43,21 +43,32 @@ class ControllerNode(CommandNode):
         super().__init__(
             "controller", (*_OWN_PARAMETERS, *CONTROLLER_PARAMETERS), ESTIMATE, ESTIMATE_CHANNELS
         )
+        self._designer: Designer | None = None
+        self._pending: Controller | None = None
+        self.create_service(Trigger, "~/redesign", self._on_redesign)
+        self._listen()
+
+    def _configure(self) -> None:
+        """Design the law that the parameters ask for."""
+        self._revision = self._table.revision
         design = make_design(self._task())
         # in wall time what changes later is designed beside the loop, in lockstep time waits for it
         self._designer = Designer() if self._wall else None
         self._law, self._ahead, self._reach = design.law, design.ahead, design.reach_m
-        self._pending: Controller | None = None
+        self._pending = None
         self._tell_feedforward(design)
         self._restart()
-        self.create_service(Trigger, "~/redesign", self._on_redesign)
-        self._listen()
+
+    def _cleanup(self) -> None:
+        super()._cleanup()
+        if self._designer is not None:
+            self._designer.close()
+            self._designer = None
 
     def close(self) -> None:
         """Leave the device at the safe current, and end the process that designs."""
         super().close()
-        if self._designer is not None:
-            self._designer.close()
+        self._cleanup()
 
     def _restart(self) -> None:
         self._supervisor = Supervisor(self._law, self._settings(self._reach))
@@ -95,7 +106,8 @@ class ControllerNode(CommandNode):
         return self._ahead.update(reference_m).current_a
 
     def _on_tick(self) -> None:
-        self._take_over_designed()
+        if self.active:
+            self._take_over_designed()
         super()._on_tick()
 
     def _task(self) -> Task:
@@ -155,6 +167,9 @@ class ControllerNode(CommandNode):
         return why
 
     def _on_redesign(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self.lifecycle_state not in ("inactive", "active"):
+            response.message = f"{self.lifecycle_state}: configure the node first"
+            return response
         refused = self._rebuild()
         response.success = not refused
         kind = self._table.text("kind")

@@ -32,8 +32,16 @@ class FeedforwardNode(CommandNode):
         super().__init__("feedforward", LIMIT_PARAMETERS, MEASUREMENT, ())
         self._ahead: InverseFeedforward | None = None
         self._reach = (-math.inf, math.inf)
-        self._rebuild()
         self._listen()
+
+    def _configure(self) -> None:
+        """Invert the model that the parameters hold, if they hold one."""
+        self._revision = self._table.revision
+        self._rebuild()
+
+    def _cleanup(self) -> None:
+        super()._cleanup()
+        self._ahead = None
 
     def _decide(
         self, supervisor: Supervisor, stamp_ns: int, values: tuple[float, ...], reference_m: float

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.client import Client
-from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -28,6 +27,7 @@ from vo2_interface.emergency_stop import EmergencyStop
 from vo2_interface.executable import node_main
 from vo2_interface.inputs import SampleInput
 from vo2_interface.lockstep import StampOrder
+from vo2_interface.managed import AUTOSTART, ManagedNode
 from vo2_interface.model import model_parameters, operating_point
 from vo2_interface.parameters import ParameterTable, ros_parameters
 from vo2_interface.samples import SampleReader, SampleWriter
@@ -55,6 +55,7 @@ __all__ = ["IDENTIFIER_PARAMETERS", "IdentifierNode", "main"]
 IDENTIFIER_PARAMETERS = (
     Parameter("preset", "integrated", "", "Device: integrated, peltier, or the path of a device file."),
     Parameter("rate_hz", 0.0, "Hz", "Sampling rate; 0 for the preset's.", 0.0, 20e3),
+    AUTOSTART,
     *EXCITATION_PARAMETERS,
     Parameter("fit", True, "", "Fit after recording; off, the excitation is only played."),
     Parameter(
@@ -106,13 +107,13 @@ class _Target:
             self.answer, self.asked_s = self.client.call_async(self.request), now
 
 
-class IdentifierNode(Node):
+class IdentifierNode(ManagedNode):
     """Services and samples in, commands and a model out."""
 
     def __init__(self) -> None:
         super().__init__("identifier", namespace=DEFAULT_NAMESPACE)
         records = (*IDENTIFIER_PARAMETERS, *model_parameters(), *DIGEST_PARAMETERS)
-        self._table = ParameterTable(self, records, read_only=("preset", "rate_hz"))
+        self._table = ParameterTable(self, records, read_only=("preset", "rate_hz", "autostart"))
         self._preset = self._table.text("preset")
         rate = self._table.number("rate_hz") or operating_point(self._preset).rate_hz
         self._period_s = 1.0 / rate
@@ -133,13 +134,27 @@ class IdentifierNode(Node):
         self._writer = SampleWriter(COMMAND_CHANNELS, self._preset)
         self._publisher = self.create_publisher(JointState, COMMAND, SAMPLE_QOS)
         self._diagnostics.watch_listeners(self._publisher)
-        SampleInput(self, MEASUREMENT, self._on_measurement, self._diagnostics)
         self._stop = EmergencyStop(self, self._diagnostics)
         self.create_service(Trigger, "~/start", self._on_start)
         self.create_service(Trigger, "~/cancel", self._on_cancel)
         self.create_service(Trigger, "~/diagnose", self._on_diagnose)
-        create_steady_timer(self, _POLL_S, self._on_poll)
+        self._manage(self._diagnostics, autostart=self._table.flag("autostart"))
+        SampleInput(self, MEASUREMENT, self._guarded(self._on_measurement), self._diagnostics)
+        create_steady_timer(self, _POLL_S, self._guarded(self._on_poll))
+
+    # --- life cycle ---------------------------------------------------------------------------------
+
+    def _configure(self) -> None:
+        """Nothing is built before an excitation is asked for."""
+
+    def _activate(self) -> None:
         self._tell("idle", "ready; call ~/start")
+
+    def _rest(self) -> None:
+        """Leave a device that is being excited at the safe current, and give up what is at work."""
+        if self._state == "exciting":
+            self.rest()
+        self._give_up()
 
     # --- for whoever composes this node into a process of its own -----------------------------------
 
@@ -168,14 +183,12 @@ class IdentifierNode(Node):
         if self._order.last_ns is not None:
             self._publisher.publish(self._writer.write(self._order.last_ns, (SAFE_CURRENT_A,)))
 
-    def close(self) -> None:
-        """Leave a device that is being excited at the safe current."""
-        if self._state == "exciting":
-            self.rest()
-
     # --- services ---------------------------------------------------------------------------------
 
     def _on_start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if not self.active:
+            response.message = f"{self.lifecycle_state}: activate the node first"
+            return response
         if self._state not in ("idle", "done", "failed", "cancelled"):
             response.message = f"busy ({self._state}); call ~/cancel first"
             return response
@@ -202,6 +215,13 @@ class IdentifierNode(Node):
         return response
 
     def _on_cancel(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        ended = self._give_up()
+        response.success = bool(ended)
+        response.message = ended or f"nothing to cancel ({self._state})"
+        return response
+
+    def _give_up(self) -> str:
+        """Cancel what is at work; return what that was in words, empty for nothing."""
         working = self._state in ("exciting", "listening", "fitting", "publishing")
         ended = [self._state] if working else []
         if self._diagnosis is not None:
@@ -209,19 +229,18 @@ class IdentifierNode(Node):
             self._diagnosis.cancel()
             self._diagnosis = None
             self._tell_diagnosis("cancelled", "cancelled")
-        response.success = bool(ended)
-        response.message = (
-            f"cancelled while {' and '.join(ended)}" if ended else f"nothing to cancel ({self._state})"
-        )
+        words = f"cancelled while {' and '.join(ended)}" if ended else ""
         if working:
             self._fit = None
             self._pending.clear()
-            self._tell("cancelled", response.message)
-        return response
+            self._tell("cancelled", words)
+        return words
 
     def _on_diagnose(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         model = self._table.given("model.")
-        if self._diagnosis is not None:
+        if not self.active:
+            response.message = f"{self.lifecycle_state}: activate the node first"
+        elif self._diagnosis is not None:
             response.message = f"busy: {self._diagnosis.text}; its answer comes on /diagnostics"
         elif self._state not in ("idle", "done", "failed", "cancelled"):
             response.message = f"busy ({self._state}); wait for its end or call ~/cancel first"
