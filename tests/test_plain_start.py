@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from vo2_interface.one_host import missing_settings
+from vo2_interface.one_host import keeps_wall_time, missing_settings
 from vo2_interface.testing import free_domain
 
 SETTINGS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "FASTRTPS_DEFAULT_PROFILES_FILE")
@@ -109,6 +109,21 @@ def test_every_socket_is_on_the_loopback_interface(command, tmp_path):
         assert node.wait(PATIENCE_S) == 0
 
 
+@pytest.mark.parametrize("told", ["parameter", "file"])
+def test_what_keeps_wall_time_waits_for_nobodys_shared_memory(told, tmp_path):
+    file = tmp_path / "wall.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    time: wall\n    rate_hz: 40.0\n")
+    how = ["--params-file", str(file)] if told == "file" else ["-p", "time:=wall", "-p", "rate_hz:=40.0"]
+    # as a process gets it from one that has taken our settings
+    environment = {**plain_environment(), **missing_settings({})}
+    with running([installed("vo2_plant_sim", "plant"), "--ros-args", *how], environment) as node:
+        found = wait_for(lambda: bound_addresses(node.pid), "a socket")
+        time.sleep(1.0)
+        assert {address for address, _ in found | bound_addresses(node.pid)} == {"0100007F"}
+        assert "fastrtps_port" not in Path(f"/proc/{node.pid}/maps").read_text()
+        assert node.poll() is None
+
+
 def test_one_variable_opens_the_graph_to_the_network():
     environment = {**plain_environment(), "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
     with running([installed("vo2_plant_sim", "plant")], environment) as node:
@@ -120,10 +135,17 @@ def test_one_variable_opens_the_graph_to_the_network():
 def test_what_the_user_has_set_stays():
     assert set(missing_settings({})) == {"ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"}
     chosen = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF", "FASTRTPS_DEFAULT_PROFILES_FILE": "own.xml"}
-    assert missing_settings(chosen) == {}
+    assert missing_settings(chosen) == missing_settings(chosen, wall_time=True) == {}
     assert missing_settings({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}).keys() == {
         "FASTRTPS_DEFAULT_PROFILES_FILE"
     }
+
+
+def test_wall_time_is_read_from_the_command_line(tmp_path):
+    assert keeps_wall_time(["plant", "--ros-args", "-p", "time:=wall"])
+    assert keeps_wall_time(["plant", "--ros-args", "--param", "plant:time:='wall'"])
+    for other in (["-p", "time:=lockstep"], ["-p", "steptime:=wall"], ["-p"], ["--params-file", "nowhere"]):
+        assert not keeps_wall_time(["plant", "--ros-args", *other])
 
 
 def test_a_program_without_our_settings_hears_the_nodes():

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import io
 import random
+import re
 import shutil
 import signal
 import struct
@@ -22,6 +23,7 @@ from openpyxl import Workbook
 from vo2_identification.bags import read_recording
 from vo2_identification.bags.playback import outline, schedule
 from vo2_models.device import description
+from vo2_models.effects import catalogue
 from vo2_models.io import InputError
 from vo2_models.model_file import load_model_parameters, save_model_parameters
 
@@ -64,6 +66,7 @@ _MARKS = (
     b"<<: ",
     b"---\n",
 )
+_WORDS = (b"None", b"0", b"-1", b"1e999", b"''", b"[]", b"{}", b"()", b"lambda", b"object()", b"print", b"x")
 _VALUES: tuple[Any, ...] = (
     None,
     True,
@@ -283,6 +286,46 @@ class _Devices:
         description.preset(self.file)
 
 
+class _Effects:
+    """Effect files: Python that is executed, where a slip of the user must be told in a line with the file's name."""
+
+    def __init__(self, folder: Path) -> None:
+        shipped = Path(catalogue.__file__).parent
+        self.folder = folder / "effects"
+        self.folder.mkdir()
+        self.files = [
+            (each.name, each.read_bytes())
+            for each in sorted(shipped.glob("*.py"))
+            if b"EFFECT = Effect(" in each.read_bytes()
+        ]
+
+    def __call__(self, chance: random.Random) -> None:
+        name, content = chance.choice(self.files)
+        content = _mutated_tokens(content, chance) if chance.random() < 0.7 else mutated(content, chance)
+        file = self.folder / name
+        file.write_bytes(content)
+        try:
+            record = catalogue.load_effect(catalogue.module_of(file))
+            if chance.random() < 0.05:  # takes a tenth of a second
+                catalogue.check_hooks(record)
+        except ValueError as error:
+            if str(file) not in str(error):
+                raise AssertionError(f"does not say in which file: {error}") from error
+            raise InputError(str(error)) from error
+        finally:
+            file.unlink()
+
+
+def _mutated_tokens(source: bytes, chance: random.Random) -> bytes:
+    """Return Python that mostly still compiles: names, numbers and texts of it changed, dropped or exchanged."""
+    words = re.split(rb"(\w+)", source)
+    for _ in range(chance.randint(1, 3)):
+        place = 1 + 2 * chance.randrange(len(words) // 2)
+        other = 1 + 2 * chance.randrange(len(words) // 2)
+        words[place] = chance.choice((words[other], *_WORDS))
+    return b"".join(words)
+
+
 class _Tables:
     """The command `convert`, with a mutated map or table; checks that nothing is written outside its output."""
 
@@ -361,6 +404,7 @@ READERS: dict[str, Callable[[Path], Callable[[random.Random], None]]] = {
     "bags": _Bags,
     "models": _Models,
     "devices": _Devices,
+    "effects": _Effects,
     "csv": lambda folder: _Tables(folder, "csv"),
     "xlsx": lambda folder: _Tables(folder, "xlsx"),
     "maps": lambda folder: _Tables(folder, "map"),

@@ -67,6 +67,11 @@ def test_the_skeleton_is_not_written_over_anything(tmp_path, capsys):
         (("EFFECT = Effect(", "EFFECTS = Effect("), "EFFECT: found NoneType"),
         (("import math", "import no_such_module"), "cannot be imported (ModuleNotFoundError"),
         (("slow_anchor", "creep"), "found the id 'creep' twice"),
+        (
+            ("return -share, share * late", "return -share, share * lat"),
+            "hook body: cannot be compiled (NameError: name 'lat' is not defined)",
+        ),
+        (("import math", "import math; raise SystemExit(0)"), "cannot be imported (SystemExit"),
     ],
 )
 def test_a_file_that_is_not_sound_is_told_with_its_place(tmp_path, change, said):
@@ -76,6 +81,28 @@ def test_a_file_that_is_not_sound_is_told_with_its_place(tmp_path, change, said)
     code = "from vo2_models.effects import effects\ntry:\n    effects()\nexcept ValueError as error:\n    print(error)"
     shown = run(tmp_path, code).stdout
     assert str(tmp_path / name) in shown and said in shown
+
+
+def test_a_command_tells_what_is_wrong_with_an_effect_file_in_one_line(tmp_path, capsys):
+    import argparse
+
+    from vo2_models.effects.catalogue import VARIABLE, add_effects_option, effects
+
+    (tmp_path / "slow_anchor.py").write_text("EFFECT = 3")
+    parser = argparse.ArgumentParser(prog="fit")
+    add_effects_option(parser)
+    before = os.environ.get(VARIABLE)
+    try:
+        with pytest.raises(SystemExit) as end:
+            parser.parse_args(["--effects", str(tmp_path)])
+    finally:
+        os.environ.pop(VARIABLE, None)
+        if before is not None:
+            os.environ[VARIABLE] = before
+        effects.cache_clear()
+    assert end.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith("fit: ") and "slow_anchor.py: EFFECT: found int" in said and said.count("\n") == 1
 
 
 def test_a_folder_that_is_not_there_is_told(tmp_path):

@@ -224,7 +224,7 @@ class _Dask:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        self.executor.shutdown(wait=False, cancel_futures=True)
+        self.executor.shutdown(wait=False)
         self.client.close()
 
     def renew(self) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import inspect
 import os
 import sys
 from collections.abc import Iterator, Mapping
@@ -21,9 +22,20 @@ from types import ModuleType
 from typing import Any
 
 from vo2_models.effects.record import HOOKS, Effect
+from vo2_models.io import one_line
 
-__all__ = ["VARIABLE", "add_effects_option", "effect", "effect_ids", "effects", "load_effect"]
+__all__ = [
+    "VARIABLE",
+    "add_effects_option",
+    "check_hooks",
+    "effect",
+    "effect_ids",
+    "effects",
+    "load_effect",
+    "module_of",
+]
 
+_OURS = "vo2_models.effects."
 _MACHINERY = ("catalogue", "magnitude", "record", "skeleton")
 VARIABLE = "VO2_EFFECTS"
 """Environment variable with folders of effect files; a variable, so that processes that are started have it too."""
@@ -46,6 +58,11 @@ class _TakeEffects(argparse.Action):
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
         folders = [f for f in os.environ.get(VARIABLE, "").split(os.pathsep) if f]
         os.environ[VARIABLE] = os.pathsep.join(dict.fromkeys([*folders, str(values.resolve())]))
+        effects.cache_clear()
+        try:
+            effects()
+        except ValueError as error:
+            parser.exit(2, f"{parser.prog}: {one_line(error)}\n")
 
 
 def _modules() -> Iterator[ModuleType]:
@@ -61,12 +78,12 @@ def _modules() -> Iterator[ModuleType]:
         files = sorted(place.glob("*.py"))
         if not files:
             raise ValueError(f"--effects {place}: found no Python file, need one that defines EFFECT")
-        yield from map(_module_of, files)
+        yield from map(module_of, files)
     for point in sorted(entry_points(group="vo2_models.effects"), key=lambda p: p.name):
         yield point.load()
 
 
-def _module_of(file: Path) -> ModuleType:
+def module_of(file: Path) -> ModuleType:
     """Import one effect file; raise a `ValueError` with file and line for anything that it raises."""
     name = f"vo2_effects_{file.stem}"
     spec = importlib.util.spec_from_file_location(name, file)
@@ -76,7 +93,7 @@ def _module_of(file: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         del sys.modules[name]
         raise ValueError(f"{file}: cannot be imported ({type(error).__name__}: {error})") from error
     return module
@@ -102,6 +119,37 @@ def load_effect(module: ModuleType) -> Effect:
     return complete
 
 
+def check_hooks(record: Effect) -> None:
+    """Compile each hook by itself, so that what is wrong in it is told with file and hook.
+
+    Raises
+    ------
+    ValueError : a hook that does not compile; one line.
+    """
+    import numba
+
+    many = {state.name for state in record.states if state.size > 1}
+    for name, function in record.hooks.items():
+        if name == "prepare":  # plain Python
+            continue
+        kinds = [
+            numba.float64[:]
+            if argument == "memory"
+            else numba.int64
+            if argument in many or argument == "sample"
+            else numba.float64
+            for argument in inspect.signature(function).parameters
+        ]
+        try:
+            numba.njit(function).compile(tuple(kinds))
+        except Exception as error:  # numba raises whatever the code makes it stumble over
+            found = next((line for line in str(error).splitlines() if "rror: " in line), str(error))
+            raise ValueError(
+                f"{record.file}: hook {name}: cannot be compiled ({one_line(found, 300)}); need plain arithmetic on its "
+                "arguments"
+            ) from error
+
+
 @cache
 def effects() -> Mapping[str, Effect]:
     """Return all effects by id, in alphabetical order; a user's own are behind the catalogue's.
@@ -113,6 +161,8 @@ def effects() -> Mapping[str, Effect]:
     found: dict[str, Effect] = {}
     for module in _modules():
         record = load_effect(module)
+        if not module.__name__.startswith(_OURS):
+            check_hooks(record)
         if record.id in found:
             raise ValueError(
                 f"{record.file}: found the id {record.id!r} twice, need another name for the file"
