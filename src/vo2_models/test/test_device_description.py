@@ -40,7 +40,7 @@ def _written(folder: Path, **changes: object) -> Path:
 
 def test_shipped_files_hold_the_numbers_of_the_contract():
     one, other = preset("integrated"), preset("peltier")
-    assert set(PRESETS) == {"integrated", "peltier"}
+    assert set(PRESETS) == {"integrated", "peltier", "peltier_chapter8"}
     assert (one.current_range, one.operating_range) == ((0.0, 12.78e-3), (3.68e-3, 8.49e-3))
     assert (one.ambient, one.linear_gain, one.square_gain) == (22.0, 0.0, 1.01e6)
     assert (one.time_constant, one.dead_time) == (1.8e-3, 0.0)
@@ -59,7 +59,7 @@ def test_shipped_files_hold_the_numbers_of_the_contract():
     assert other.noise == {RESISTANCE: 3e-3, TIP_DEFLECTION: 0.08e-6, STAGE_TEMPERATURE: 0.05}
     assert (other.sample_period, other.shortest_period) == (0.125, 1e-3)
     assert other.channels == (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
-    assert (one.key, other.key) == PRESETS
+    assert (one.key, other.key) == ("integrated", "peltier")
 
 
 def test_a_copy_of_a_shipped_file_is_the_same_device(tmp_path):

@@ -11,12 +11,31 @@ import time
 import numpy as np
 import pytest
 from vo2_control.pid import PUBLISHED_PELTIER_PID, pid_law
-from vo2_studies.reproduce import main
-from vo2_studies.reproduce.claims import Claim, Context, Section, at_least, at_most, within
+from vo2_studies.reproduce import chapter8, main
+from vo2_studies.reproduce.claims import (
+    Claim,
+    Context,
+    Section,
+    Table,
+    at_least,
+    at_most,
+    between,
+    tally,
+    within,
+    within_or_above,
+    within_or_below,
+)
 from vo2_studies.reproduce.command import section_modules
 from vo2_studies.reproduce.own_designs import Designs
 from vo2_studies.reproduce.page import page
-from vo2_studies.reproduce.peltier import EXPERIMENTS, NOISE_A, PERIOD_S, current_noise, reference
+from vo2_studies.reproduce.peltier import (
+    EXPERIMENTS,
+    NOISE_A,
+    PERIOD_S,
+    Conditions,
+    current_noise,
+    reference,
+)
 from vo2_studies.reproduce.pool import run_many
 from vo2_studies.reproduce.sections import chapter_6, chapter_8_own, chapter_8_robustness
 
@@ -25,7 +44,19 @@ KEYS = {"id", "section", "claim", "published", "ours", "unit", "met"}
 
 @pytest.mark.parametrize(
     ("rule", "met", "not_met"),
-    [(within(2.0, 0.1), 2.19, 2.21), (at_most(1.0), 1.0, 1.01), (at_least(1.0), 1.0, 0.99)],
+    [
+        (within(2.0, 0.1), 2.19, 2.21),
+        (within(2.0, 0.1), 1.81, 1.79),
+        (within(-2.0, 0.1), -2.19, -2.21),
+        (within_or_below(2.0, 0.1), 2.19, 2.21),
+        (within_or_below(2.0, 0.1), 0.1, 2.21),
+        (within_or_above(2.0, 0.1), 1.81, 1.79),
+        (within_or_above(2.0, 0.1), 20.0, 1.79),
+        (between(0.75, 0.9), 0.75, 0.91),
+        (between(0.75, 0.9), 0.9, 0.74),
+        (at_most(1.0), 1.0, 1.01),
+        (at_least(1.0), 1.0, 0.99),
+    ],
 )
 def test_rules(rule, met, not_met):
     assert Claim("a", "8", "x", 2.0, met, "1", rule).met
@@ -46,9 +77,41 @@ def test_page_escapes_and_says_what_is_not_met():
     assert (
         "&lt;script&gt;" in text
         and "<script>" not in text
-        and "not met" in text
-        and "0 of 1 claims met" in text
+        and ">missed<" in text
+        and "1 published values: 0 met, 1 missed" in text
     )
+
+
+def test_what_the_text_contradicts_is_neither_met_nor_missed():
+    claims = [
+        Claim("a", "8", "x", 1.0, 1.0, "1", within(1.0, 0.1)),
+        Claim("b", "8", "x", 1.0, 3.0, "1", within(1.0, 0.1)),
+        Claim("c", "8", "x", 1.0, 1.0, "1", within(1.0, 0.1), contradicted="the table says 2"),
+        Claim("d", "8", "x", None, 1.0, "1", at_most(2.0)),
+    ]
+    assert [claim.state for claim in claims] == ["met", "missed", "contradicted", "met"]
+    assert not claims[2].met and claims[2].record()["contradicted"] == "the table says 2"
+    assert str(tally(claims)).startswith("3 published values: 1 met, 1 missed, 1 contradicted")
+    story = ("told <b>", Table("caption", ("tried", "ratio"), (("this & that", "0.82"),)))
+    text = page([Section("8", "T", tuple(claims), story=story)], command="x", seconds=1.0)
+    assert "told &lt;b&gt;" in text and "this &amp; that" in text and "the table says 2" in text
+
+
+def test_a_narrower_structural_loop_turns_the_published_comparison_round():
+    """Section 8.4 in short: with the difference H-infinity wins, on the same devices without it the PID."""
+    seeds = (chapter8.PROOF_SEED + 1, chapter8.PROOF_SEED + 2)
+    ratios = []
+    for difference in (chapter8.DIFFERENCE_K, 0.0):
+        found = chapter8.means(seeds, ("multi",), difference)
+        ratios.append(found["multi", "H-infinity"].rmse_um / found["multi", "PID"].rmse_um)
+    assert 0.7 < ratios[0] < 0.95 and ratios[1] > 1.1
+
+
+def test_the_chapter_8_device_is_its_file_unless_something_is_replaced():
+    shipped, other = chapter8.device(1, 0.0), chapter8.device(1, 0.0, transition=(4.0, 2.0))
+    same = chapter8.device(1, 0.0, body={"time_constant": 25.0})
+    assert np.array_equal(shipped.coefficients, same.coefficients)
+    assert np.array_equal(shipped.levels, same.levels) and not np.array_equal(shipped.levels, other.levels)
 
 
 def test_one_section_end_to_end(tmp_path, capsys):
@@ -58,7 +121,7 @@ def test_one_section_end_to_end(tmp_path, capsys):
     assert {r["id"]: r["met"] for r in records}["8.3.gamma"]
     text = (tmp_path / "reproduction.html").read_text()
     assert text.count("<svg") == 2 and "--only 8.3" in text
-    assert "claims met" in capsys.readouterr().out
+    assert "published values: " in capsys.readouterr().out
 
 
 def test_bad_arguments_end_with_one_line(tmp_path, capsys):
@@ -84,7 +147,12 @@ def test_references_and_noise_are_those_of_the_experiments():
     multi, settle = reference("multi")
     assert multi.size - settle == 8000 and multi[settle] == pytest.approx(35e-6)
     assert 1e6 * np.abs(multi[settle:] - 35e-6).max() <= 20
+    wide, _ = reference("multi", Conditions(multi_scale=2.0))
+    assert np.ptp(wide) == pytest.approx(2 * np.ptp(multi))
+    other, settle = reference("steps", Conditions(steps_m=(1e-6, 2e-6), step_start_m=0.0))
+    assert other.size - settle == 240 and other[0] == 0.0 and other[-1] == 2e-6
     noise = current_noise(8000, 1)
+    assert current_noise(8000, 1, Conditions(noise_band=0.1)).std() == pytest.approx(noise.std(), rel=0.2)
     assert 0.4 * NOISE_A < noise.std() < 0.7 * NOISE_A
     power = np.abs(np.fft.rfft(noise)) ** 2
     assert power[3600:].mean() < 0.1 * power[:2800].mean()  # band-limited

@@ -3,11 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-__all__ = ["Claim", "Context", "Figure", "Rule", "Section", "at_least", "at_most", "within"]
+__all__ = [
+    "Claim",
+    "Context",
+    "Figure",
+    "Rule",
+    "Section",
+    "Table",
+    "Tally",
+    "at_least",
+    "at_most",
+    "between",
+    "tally",
+    "within",
+    "within_or_above",
+    "within_or_below",
+]
 
 
 @dataclass(frozen=True)
@@ -24,6 +39,27 @@ def within(published: float, fraction: float) -> Rule:
         f"within {100 * fraction:g} % of {published:g}",
         lambda ours: abs(ours - published) <= fraction * abs(published),
     )
+
+
+def within_or_below(published: float, fraction: float) -> Rule:
+    """Met if ours is within a fraction of the published value, or smaller: what is better smaller."""
+    return Rule(
+        f"within {100 * fraction:g} % of {published:g}, or smaller",
+        lambda ours: ours - published <= fraction * abs(published),
+    )
+
+
+def within_or_above(published: float, fraction: float) -> Rule:
+    """Met if ours is within a fraction of the published value, or larger: what is better larger."""
+    return Rule(
+        f"within {100 * fraction:g} % of {published:g}, or larger",
+        lambda ours: published - ours <= fraction * abs(published),
+    )
+
+
+def between(low: float, high: float) -> Rule:
+    """Met if ours lies between two limits."""
+    return Rule(f"{low:g} to {high:g}", lambda ours: low <= ours <= high)
 
 
 def at_most(limit: float) -> Rule:
@@ -50,6 +86,7 @@ class Claim:
     unit : of both
     rule : when it is met
     conditions : under which ours was found
+    contradicted : what in the published text contradicts this claim; empty where nothing does
     """
 
     id: str
@@ -60,10 +97,17 @@ class Claim:
     unit: str
     rule: Rule
     conditions: str = ""
+    contradicted: str = ""
+
+    @property
+    def state(self) -> str:
+        """`contradicted`, `met` or `missed`."""
+        return "contradicted" if self.contradicted else "met" if self.met else "missed"
 
     @property
     def met(self) -> bool:
-        return bool(math.isfinite(self.ours) and self.rule.holds(self.ours))
+        """Whether the rule holds; a claim that the text itself contradicts is neither met nor missed."""
+        return bool(not self.contradicted and math.isfinite(self.ours) and self.rule.holds(self.ours))
 
     def record(self) -> dict[str, object]:
         """The entry of `reproduction.json`; a value that is not finite is written as null."""
@@ -75,6 +119,8 @@ class Claim:
             "ours": float(self.ours) if math.isfinite(self.ours) else None,
             "unit": self.unit,
             "met": self.met,
+            "state": self.state,
+            "contradicted": self.contradicted,
             "rule": self.rule.text,
             "conditions": self.conditions,
         }
@@ -89,14 +135,61 @@ class Figure:
 
 
 @dataclass(frozen=True)
+class Table:
+    """A table of texts with its caption."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
 class Section:
-    """What one section of the dissertation gave: claims, figures, and remarks for the reader."""
+    """What one section of the dissertation gave: claims, figures, and remarks for the reader.
+
+    Attributes
+    ----------
+    story : paragraphs, tables and figures that stand in front of the claims, in their order
+    """
 
     number: str
     title: str
     claims: tuple[Claim, ...]
     figures: tuple[Figure, ...] = ()
     remarks: tuple[str, ...] = ()
+    story: tuple[str | Table | Figure, ...] = ()
+
+
+@dataclass(frozen=True)
+class Tally:
+    """How many claims with a published value are met, missed and contradicted; and how many of our own hold."""
+
+    met: int
+    missed: int
+    contradicted: int
+    own_met: int
+    own: int
+
+    def __str__(self) -> str:
+        published = self.met + self.missed + self.contradicted
+        return (
+            f"{published} published values: {self.met} met, {self.missed} missed, {self.contradicted} contradicted by the "
+            f"text itself; of {self.own} claims of our own {self.own_met} met"
+        )
+
+
+def tally(claims: Iterable[Claim]) -> Tally:
+    """Count claims by their state."""
+    claims = list(claims)
+    published = [c.state for c in claims if c.published is not None]
+    own = [c.met for c in claims if c.published is None]
+    return Tally(
+        met=published.count("met"),
+        missed=published.count("missed"),
+        contradicted=published.count("contradicted"),
+        own_met=sum(own),
+        own=len(own),
+    )
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import sys
+import textwrap
 import time
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -17,7 +18,7 @@ from vo2_models.io import InputError, OutputFolder, write_whole
 
 from vo2_studies.reproduce import INTERRUPTED
 from vo2_studies.reproduce import sections as section_folder
-from vo2_studies.reproduce.claims import Context, Section
+from vo2_studies.reproduce.claims import Claim, Context, Figure, Section, Table, tally
 from vo2_studies.reproduce.page import page
 
 __all__ = ["run", "section_modules"]
@@ -108,19 +109,38 @@ def _run_sections(wanted: Sequence[ModuleType], options: argparse.Namespace, out
         finally:
             outputs.remember()
         done.append(section)
-        met = sum(claim.met for claim in section.claims)
-        _line(
-            f"{section.number:6s} {met} of {len(section.claims)} met, {time.monotonic() - begun:.1f} s  {section.title}"
-        )
+        _line(f"{section.number:6s} {time.monotonic() - begun:.1f} s  {section.title}")
         print(file=sys.stderr)
+        print(_text(section), flush=True)
         # after every section: an interrupted run leaves what it has found
         _write(options.output, done, time.monotonic() - started, wanted)
         outputs.remember()
     claims = [claim for section in done for claim in section.claims]
-    print(f"{sum(c.met for c in claims)} of {len(claims)} claims met")
+    print(tally(claims))
     print(f"page  {options.output / 'reproduction.html'}")
     print(f"data  {options.output / 'reproduction.json'}")
     return 0
+
+
+def _text(section: Section) -> str:
+    """A section for the terminal: its story without figures, then published, ours and state of every claim."""
+    lines = [f"\n{section.number} {section.title}"]
+    for part in section.story:
+        if isinstance(part, Table):
+            cells = [part.head, *part.rows]
+            widths = [max(len(row[k]) for row in cells) for k in range(len(part.head))]
+            lines += ["", part.caption]
+            lines += ["  " + "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)) for row in cells]
+        elif not isinstance(part, Figure):
+            lines += ["", textwrap.fill(part, 110)]
+    lines += ["", f"  {'published':>10s} {'ours':>10s}  {'unit':10s} {'state':13s}claim"]
+    lines += [_claim_text(claim) for claim in section.claims]
+    return "\n".join([*lines, f"  {tally(section.claims)}"])
+
+
+def _claim_text(claim: Claim) -> str:
+    published = "-" if claim.published is None else f"{claim.published:.4g}"
+    return f"  {published:>10s} {claim.ours:10.4g}  {claim.unit:10s} {claim.state:13s}{claim.claim}"
 
 
 def _write(folder: Path, done: Sequence[Section], seconds: float, wanted: Sequence[ModuleType]) -> None:

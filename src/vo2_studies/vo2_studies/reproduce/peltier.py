@@ -1,4 +1,4 @@
-"""The experiments of section 8.4 on the simulated Peltier device: references, noise, calibration, figures of merit."""
+"""The experiments of section 8.4 on a simulated Peltier device: references, noise, calibration, figures of merit."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ from vo2_models.self_sensing.polynomial import PolynomialSelfSensing
 from vo2_models.self_sensing.scheme import SelfSensing
 
 __all__ = [
+    "CONTRACT",
     "EXPERIMENTS",
     "LIMITS",
     "PERIOD_S",
     "Calibration",
+    "Conditions",
     "Merit",
     "calibrate",
     "current_noise",
@@ -41,24 +43,50 @@ DEGREE = 9
 """Of the polynomial in section 8.2."""
 
 
-def reference(kind: str) -> tuple[Floats, int]:
+@dataclass(frozen=True)
+class Conditions:
+    """What the text does not print, or prints so that it cannot be: the contract's values, to be varied in a study.
+
+    Attributes
+    ----------
+    steps_m, step_start_m : setpoints of 15 s each, and where the loop regulates to before them [m]
+    multi_scale : factor on the amplitudes 8, 7 and 5 um of the multi-sine
+    noise_a, noise_band : half amplitude of the current noise [A]; its band as a share of Nyquist. The printed 8 Hz cannot
+        be at 8 Hz sampling
+    """
+
+    steps_m: tuple[float, ...] = (20e-6, 35e-6, 50e-6)
+    step_start_m: float = 5e-6
+    multi_scale: float = 1.0
+    noise_a: float = NOISE_A
+    noise_band: float = 0.8
+
+
+CONTRACT = Conditions()
+
+
+def reference(kind: str, conditions: Conditions = CONTRACT) -> tuple[Floats, int]:
     """Return the reference (n,) [m] with its settling part in front, and the number of samples of that part."""
     if kind == "steps":
-        wanted = 1e-6 * np.repeat([20.0, 35.0, 50.0], round(15 / PERIOD_S))
-        start = 5e-6
+        wanted = np.repeat(conditions.steps_m, round(15 / PERIOD_S))
+        start = conditions.step_start_m
     else:
         t = np.arange(round(1000 / PERIOD_S)) * PERIOD_S
         parts = ((8.0, 0.001), (7.0, 0.005), (5.0, 0.01))
-        wanted = 1e-6 * (35.0 + sum(size * np.sin(2 * np.pi * hertz * t) for size, hertz in parts))
+        swing = sum(size * np.sin(2 * np.pi * hertz * t) for size, hertz in parts)
+        wanted = 1e-6 * (35.0 + conditions.multi_scale * swing)
         start = float(wanted[0])
     settle = round(SETTLE_S / PERIOD_S)
     return np.concatenate([np.full(settle, start), wanted]), settle
 
 
-def current_noise(count: int, seed: int) -> Floats:
-    """Uniform white current noise of +-0.01 A, band-limited to 80 % of Nyquist: at 8 Hz the printed 8 Hz cannot be."""
-    white = np.random.default_rng([seed, 843]).uniform(-NOISE_A, NOISE_A, count)
-    return np.asarray(sosfiltfilt(butter(4, 0.8, output="sos"), white))
+def current_noise(count: int, seed: int, conditions: Conditions = CONTRACT) -> Floats:
+    """Uniform white current noise, band-limited; a narrower band than the contract's keeps the standard deviation."""
+    white = np.random.default_rng([seed, 843]).uniform(-conditions.noise_a, conditions.noise_a, count)
+    limited = np.asarray(sosfiltfilt(butter(4, conditions.noise_band, output="sos"), white))
+    if conditions.noise_band != CONTRACT.noise_band:
+        limited *= white.std() / limited.std()
+    return limited
 
 
 @dataclass(frozen=True)
@@ -80,12 +108,19 @@ class Calibration:
 
 
 def calibrate(device: Simulation, seed: int, *, levels: int = 150) -> Calibration:
-    """Sweep the operating range up and down, each level held for ten time constants."""
-    nominal = preset("peltier")
+    """Sweep the operating range up and down, each level held for ten time constants.
+
+    Raises
+    ------
+    ValueError : a resistance that is not positive, as a drift over the hours of the sweep may give.
+    """
+    nominal = preset(device.device)
     way = np.linspace(*nominal.operating_range, levels)
     current = np.concatenate([way, way[::-1]])
     sweep = device.simulate(current, dt=10 * nominal.time_constant, seed=seed)
     resistance, deflection = sweep[RESISTANCE], sweep[TIP_DEFLECTION]
+    if not resistance.min() > 0:
+        raise ValueError(f"calibration: found a resistance of {resistance.min():g} ohm, need above 0")
     halves = (slice(0, levels), slice(levels, 2 * levels))
     middle = [current[half][np.argmin(np.abs(deflection[half] - 35e-6))] for half in halves]
     sensing = PolynomialSelfSensing.fit(resistance, deflection, DEGREE)
@@ -101,6 +136,7 @@ def experiment(
     *,
     feedforward_a: Floats | None = None,
     expected_m: Floats | None = None,
+    conditions: Conditions = CONTRACT,
 ) -> LoopResult:
     """Run one experiment; the settling part is cut off.
 
@@ -110,8 +146,8 @@ def experiment(
     expected_m : (n,) what the feedback is given as its reference instead of the reference itself [m], see
         `vo2_control.feedforward.InverseFeedforward`; errors are still of the reference
     """
-    wanted, settle = reference(kind)
-    disturbance = current_noise(wanted.size, seed) if kind == "noise" else None
+    wanted, settle = reference(kind, conditions)
+    disturbance = current_noise(wanted.size, seed, conditions) if kind == "noise" else None
     result = run_loop(
         device,
         sensing,

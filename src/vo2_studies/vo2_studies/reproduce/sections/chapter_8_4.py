@@ -1,31 +1,52 @@
-"""8.4: the published H-infinity and PID designs as printed, on steps and multi-sine, without and with noise."""
+"""8.4: why the published robust controller wins on the rig: the story, on devices that nothing was tuned on."""
 
 from __future__ import annotations
 
-from dataclasses import astuple, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from vo2_control.controller import LinearController
-from vo2_control.discretise import discrete_law
+from vo2_control.closed_loop import LoopResult
 from vo2_control.hinf import PUBLISHED_CONTROLLER
-from vo2_control.pid import PUBLISHED_PELTIER_PID, pid_law
-from vo2_models.device import truth
+from vo2_models.diagnosis import Diagnosis, diagnose
+from vo2_models.effects import effects
+from vo2_models.identification.device_fit import fit_device
+from vo2_models.recording import Recording
 
-from vo2_studies.reproduce.claims import Claim, Context, Section, at_most
-from vo2_studies.reproduce.figures import draw
-from vo2_studies.reproduce.peltier import (
-    EXPERIMENTS,
-    LIMITS,
-    PERIOD_S,
-    Merit,
-    calibrate,
-    experiment,
-    merit,
+from vo2_studies.challenge.devices import PRESETS
+from vo2_studies.challenge.excitation import calibration_current, informative_current
+from vo2_studies.reproduce.chapter8 import (
+    DEVELOPMENT_SEEDS,
+    DEVICE,
+    DIFFERENCE_K,
+    EFFECT,
+    LAWS,
+    PROOF_SEED,
+    device,
+    laws,
+    mean_merit,
+    means,
+    run_law,
 )
+from vo2_studies.reproduce.claims import (
+    Claim,
+    Context,
+    Figure,
+    Rule,
+    Section,
+    Table,
+    at_least,
+    between,
+    within,
+)
+from vo2_studies.reproduce.figures import draw
+from vo2_studies.reproduce.peltier import EXPERIMENTS, PERIOD_S, Conditions, Merit, calibrate
 
-NUMBER, TITLE = "8.4", "Published H-infinity and PID designs, as printed"
+NUMBER, TITLE = "8.4", "Published H-infinity and PID designs: why the comparison turns round in simulation"
 
+DRAWS = 10
+TRIED_DRAWS = 4
 _SECTION = {"steps": "8.4.1", "multi": "8.4.2", "noise": "8.4.3"}
 _PUBLISHED = {
     # Tables 8.2 to 8.4: RMSE, largest error, steady-state error [um], control effort [mA]; NaN: not given
@@ -36,9 +57,18 @@ _PUBLISHED = {
     ("noise", "PID"): (1.47, 4.28, np.nan, 33.6),
     ("noise", "H-infinity"): (0.96, 3.07, np.nan, 31.6),
 }
-_WORDS = (("rmse", "RMSE", "um"), ("largest", "Largest error", "um"), ("steady", "Mean steady-state error", "um"),
-          ("effort", "Control effort, s.d. of the current", "mA"))  # fmt: skip
-_DEVICES = 50
+_WORDS = (
+    # field of `Merit`, name, words, unit, distance within which a claim is met
+    ("rmse_um", "rmse", "RMSE", "um", 0.2),
+    ("largest_um", "largest", "Largest error", "um", 0.3),
+    ("steady_um", "steady", "Mean steady-state error", "um", 0.4),
+    ("effort_ma", "effort", "Control effort, s.d. of the current", "mA", 0.2),
+)
+_RATIO = {"steps": within(0.963, 0.1), "multi": between(0.75, 0.90), "noise": within(0.653, 0.1)}
+_FITTED = {("multi", "PID", "rmse"), ("multi", "PID", "effort"), ("steps", "PID", "steady")}
+_TONES_HZ = (0.001, 0.005, 0.01)
+
+Merits = Mapping[tuple[str, str], Merit]
 
 
 def published(kind: str) -> dict[str, tuple[float, ...]]:
@@ -46,54 +76,317 @@ def published(kind: str) -> dict[str, tuple[float, ...]]:
     return {name: _PUBLISHED[kind, name] for name in ("H-infinity", "PID")}
 
 
+def ratio(merits: Merits, kind: str = "multi") -> float:
+    """RMSE of H-infinity over that of the PID."""
+    return merits[kind, "H-infinity"].rmse_um / merits[kind, "PID"].rmse_um
+
+
+@dataclass(frozen=True)
+class Compared:
+    """All draws of one plant: mean figures of merit, ratio of the RMSE per draw, the first draw's runs."""
+
+    merits: Merits
+    ratios: Mapping[str, np.ndarray]
+    runs: Mapping[tuple[str, str], LoopResult]
+
+
+def compare(seeds: Sequence[int], difference: float) -> Compared:
+    """Run every experiment under both laws on every draw."""
+    both = laws()
+    found: dict[tuple[str, str], list[Merit]] = {(kind, name): [] for kind in EXPERIMENTS for name in both}
+    runs: dict[tuple[str, str], LoopResult] = {}
+    for seed in seeds:
+        one = device(seed, difference)
+        calibration = calibrate(one, seed)
+        for kind, name in found:
+            merit, result = run_law(kind, one, calibration, both[name], seed)
+            found[kind, name].append(merit)
+            runs.setdefault((kind, name), result)
+    ratios = {
+        kind: np.array([
+            h.rmse_um / p.rmse_um for h, p in zip(found[kind, "H-infinity"], found[kind, "PID"], strict=True)
+        ])
+        for kind in EXPERIMENTS
+    }  # fmt: skip
+    return Compared({key: mean_merit(merits) for key, merits in found.items()}, ratios, runs)
+
+
+def diagnosed(seed: int, context: Context) -> dict[str, Diagnosis]:
+    """What `diagnose` says of the device whose structural loop is narrower, in both of its questions.
+
+    "change": the model was fitted to the device without the difference. "all along": the model was fitted to the device
+    as it is, and the calibration is given to the diagnosis.
+    """
+    rng = np.random.default_rng([seed, 84])
+    first, second = (
+        np.asarray(play(rng, PRESETS["peltier"])) for play in (calibration_current, informative_current)
+    )
+    with_it, without = device(seed), device(seed, 0.0)
+
+    def record(one: Any, current: np.ndarray, run: int) -> Recording:
+        return one.simulate(current, seed=[seed, run])
+
+    test = record(with_it, second, 2)
+    found = {}
+    for k, (name, calibrated) in enumerate({"change": without, "all along": with_it}.items()):
+        context.progress(f"diagnosis: {name}", 0.3 + 0.3 * k)
+        calibration = record(calibrated, first, 1)
+        model = fit_device([calibration], DEVICE).model.to_parameters()
+        given = [calibration] if name == "all along" else []
+        found[name] = diagnose([test], model, calibration=given)
+    return found
+
+
 def run(context: Context) -> Section:
-    """Return the section's claims; about 10 s."""
-    laws = {
-        "PID": pid_law(PUBLISHED_PELTIER_PID, PERIOD_S),
-        "H-infinity": discrete_law(PUBLISHED_CONTROLLER, PERIOD_S),
+    """Return the section: about two minutes, most of them for the two diagnoses."""
+    seeds = [PROOF_SEED + context.seed + k for k in range(DRAWS)]
+    context.progress(f"{DRAWS} devices with and without the difference", 0.05)
+    without, with_it = compare(seeds, 0.0), compare(seeds, DIFFERENCE_K)
+    diagnoses = diagnosed(seeds[0], context)
+    context.progress("candidates for what does not fit", 0.9)
+    claims = _claims(without, with_it, diagnoses)
+    story: tuple[str | Table | Figure, ...] = (
+        "Section 8.4 reports that H-infinity beats the PID on the rig. With the published controllers on a simulated device "
+        "that has everything the chapter's model has, it is the other way round:",
+        _table("Without the difference of the loop widths", without),
+        *_said(diagnoses),
+        "With it, the same devices, the same controllers and the same noise:",
+        _table(f"With the structural loop {-DIFFERENCE_K:g} K narrower than the metallic one", with_it),
+        "Why: the H-infinity design has no integral action and lags behind the estimate. Where deflection leads resistance on "
+        "both branches, that lag cancels the bias of the self-sensed signal, while the PID follows the biased estimate "
+        "exactly. 8.4.1 says as much: the PID is better on the self-sensed deflection, H-infinity on the actual one at every "
+        "step. Physically: resistance is taken from the test piece and deflection from the cantilever (8.1.2), and the "
+        "energies of the two transitions differ (8.2).",
+        _turned(),
+        "What still does not fit:",
+        _unexplained(with_it),
+        "The effort falls by a third between Tables 8.3 and 8.4 under both controllers, with the same reference and noise "
+        "added: the rig or the reference was not the same, so that the noise run cannot be compared with the run before it. "
+        "Noise of +-10 mA through a lag of 25 s moves the deflection by about 0.1 um. Step levels, step starts and the three "
+        "amplitudes are not printed; ours are the contract's.",
+    )
+    lasting = abs(calibrate(device(seeds[0]), seeds[0]).operating_a / float(np.real(PUBLISHED_CONTROLLER(0))))
+    remarks = (
+        "Both designs are linear and for small deviations: the current that holds 35 um (mean of both branches) is added "
+        "to both. Counted from zero current instead, the H-infinity design, which has no integral action, would need a "
+        f"lasting error of {lasting:.0f} um to hold the device in its transition. Every loop first regulates for 100 s to "
+        "5 um (steps) or to the reference's first value; errors are of the true deflection, after the first 5 %.",
+    )
+    return Section(NUMBER, TITLE, tuple(claims), _figures(with_it.runs), remarks, story)
+
+
+def _table(caption: str, compared: Compared) -> Table:
+    """Published against simulated, figure by figure and ratio by ratio."""
+    rows = []
+    for kind in EXPERIMENTS:
+        for field, _, words, unit, _ in _WORDS:
+            theirs = [_PUBLISHED[kind, name][[w[0] for w in _WORDS].index(field)] for name in LAWS]
+            if np.isfinite(theirs).all():
+                ours = [getattr(compared.merits[kind, name], field) for name in LAWS]
+                rows.append((
+                    _SECTION[kind], f"{words} [{unit}]", *(f"{x:.3g}" for x in (*theirs, *ours)),
+                    f"{theirs[1] / theirs[0]:.2f}", f"{ours[1] / ours[0]:.2f}",
+                ))  # fmt: skip
+    head = (
+        "section", "figure", "published PID", "published H-inf", "ours PID", "ours H-inf", "published ratio", "our ratio",
+    )  # fmt: skip
+    return Table(caption, head, tuple(rows))
+
+
+def _said(diagnoses: Mapping[str, Diagnosis]) -> list[str]:
+    """What each diagnosis located and named, in a paragraph."""
+    asked = {
+        "change": "a model fitted before the loop became narrower",
+        "all along": "a model fitted to the device as it is, calibration given",
     }
-    count = min(_DEVICES, context.draws)
-    merits: dict[tuple[str, str], list[Merit]] = {key: [] for key in _PUBLISHED}
-    shown = {}
-    for k in range(count):
-        device, seed = truth("peltier", seed=context.seed + k), context.seed + k
-        calibration = calibrate(device, seed)
-        for kind in EXPERIMENTS:
-            for name, law in laws.items():
-                controller = LinearController(replace(law, operating_a=calibration.operating_a), LIMITS)
-                result = experiment(kind, device, calibration.sensing, controller, seed)
-                merits[kind, name].append(merit(kind, result))
-                if k == 0:
-                    shown[kind, name] = result
-        context.progress(f"device {k + 1} of {count}", (k + 1) / count)
-    conditions = f"mean over {count} device draws; polynomial self-sensing of degree 9; operating current added to both designs"
+    texts = []
+    for name, found in diagnoses.items():
+        places = "; ".join(
+            f"{100 * one.share:.0f} % in {one.signal}, {one.branch} branch(es)"
+            + (
+                f", {one.temperature_degC[0]:.1f} to {one.temperature_degC[1]:.1f} degC"
+                if one.temperature_degC
+                else ""
+            )
+            for one in found.location
+        )
+        named = "; ".join(
+            f"{one.id} with probability {one.probability:.2f}"
+            + "".join(
+                f", {key} {v.value:.3g} +- {v.std:.2g} {v.unit} (true {DIFFERENCE_K:g})"
+                if one.id == EFFECT
+                else f", {key} {v.value:.3g} +- {v.std:.2g} {v.unit}"
+                for key, v in one.parameters.items()
+            )
+            for one in found.effects
+        )
+        texts.append(
+            f"Diagnosis ({asked[name]}): {found.verdict}. Located: {places or 'nothing'}. Named: {named or 'nothing'}."
+        )
+    return texts
+
+
+def _claims(without: Compared, with_it: Compared, diagnoses: Mapping[str, Diagnosis]) -> list[Claim]:
+    basis = (
+        f"mean over {DRAWS} device draws that nothing was tuned on; published controllers unchanged; polynomial self-sensing "
+        "of degree 9; operating current added to both designs"
+    )
     claims = []
-    mean: dict[tuple[str, str], NDArray[np.float64]] = {}
-    for key, found in merits.items():
-        mean[key] = np.mean([astuple(m) for m in found], axis=0)
-        kind, name = key
-        for (short, words, unit), theirs, ours in zip(_WORDS, _PUBLISHED[key], mean[key], strict=False):
+    for (kind, law), values in _PUBLISHED.items():
+        for (field, short, words, unit, distance), theirs in zip(_WORDS, values, strict=True):
             if np.isfinite(theirs):
+                fitted = (kind, law, short) in _FITTED
                 claims.append(
-                    Claim(
-                        f"{_SECTION[kind]}.{name.lower()}.{short}", _SECTION[kind], f"{words}, {name}", theirs,
-                        float(ours), unit, at_most(theirs), conditions,
-                    )
+                    Claim(f"{_SECTION[kind]}.{law.lower()}.{short}", _SECTION[kind],
+                          f"{words}, {law}{' (FITTED, on other draws)' if fitted else ''}", theirs,
+                          float(getattr(with_it.merits[kind, law], field)), unit, within(theirs, distance), basis)
                 )  # fmt: skip
     for kind in EXPERIMENTS:
         theirs = _PUBLISHED[kind, "H-infinity"][0] / _PUBLISHED[kind, "PID"][0]
-        ratios = [
-            h.rmse_um / p.rmse_um
-            for h, p in zip(merits[kind, "H-infinity"], merits[kind, "PID"], strict=True)
-        ]
-        half = 1.96 * np.std(ratios, ddof=1) / np.sqrt(len(ratios)) if len(ratios) > 1 else np.nan
+        ours = with_it.ratios[kind]
+        half = 1.96 * np.std(ours, ddof=1) / np.sqrt(ours.size)
         claims.append(
-            Claim(
-                f"{_SECTION[kind]}.ratio", _SECTION[kind], "RMSE of H-infinity over that of PID: does it win", theirs,
-                float(np.mean(ratios)), "1", at_most(1.0), f"95 % confidence +-{half:.3f}; {conditions}",
-            )
+            Claim(f"{_SECTION[kind]}.ratio", _SECTION[kind], "RMSE of H-infinity over that of PID", theirs,
+                  float(np.mean(ours)), "1", _RATIO[kind],
+                  f"mean of the ratio per draw, 95 % confidence +-{half:.3f}, {ours.min():.2f} to {ours.max():.2f}; {basis}")
+        )  # fmt: skip
+    merits = with_it.merits
+    pairs = (
+        # name, section, words, published per cent, ours as a ratio minus 1 or 1 minus a ratio, distance, contradiction
+        ("steps_rmse_less", "8.4.1", "RMSE of H-infinity below that of PID, steps", 3.66, 1 - ratio(merits, "steps"), ""),
+        ("steps_steady_less", "8.4.1", "Steady-state error of H-infinity below that of PID", 36.0,
+         1 - merits["steps", "H-infinity"].steady_um / merits["steps", "PID"].steady_um,
+         "Table 8.2 itself, 1.11 and 0.62 um, gives 44 %"),
+        ("multi_rmse_less", "8.4.2", "RMSE of H-infinity below that of PID, multi-sine", 18.0, 1 - ratio(merits), ""),
+        ("multi_effort_less", "8.4.2", "Effort of H-infinity below that of PID, multi-sine", 1.8,
+         1 - merits["multi", "H-infinity"].effort_ma / merits["multi", "PID"].effort_ma, ""),
+        ("noise_largest_less", "8.4.3", "Largest error of H-infinity below that of PID, with noise", 28.0,
+         1 - merits["noise", "H-infinity"].largest_um / merits["noise", "PID"].largest_um, ""),
+        ("noise_largest_more", "8.4.3", "Largest error of the PID with noise above that without", 43.0,
+         merits["noise", "PID"].largest_um / merits["multi", "PID"].largest_um - 1, ""),
+        ("noise_rmse_less", "8.4.3", "RMSE of H-infinity below that of PID, with noise", 34.7, 1 - ratio(merits, "noise"), ""),
+        ("noise_effort_less", "8.4.3", "Effort of H-infinity below that of PID, with noise", 6.0,
+         1 - merits["noise", "H-infinity"].effort_ma / merits["noise", "PID"].effort_ma, ""),
+        ("noise_rmse_more", "8.4.3", "RMSE of the PID with noise above that without", 18.6,
+         merits["noise", "PID"].rmse_um / merits["multi", "PID"].rmse_um - 1, ""),
+        ("noise_share", "8.4.3", "Noise amplitude over the total change of the current", 25.0,
+         10.0 / (1e3 * np.ptp(with_it.runs["multi", "PID"].current_a)),
+         "10 mA being 25 % makes the total change 40 mA, below the s.d. of 49.1 mA in Table 8.3"),
+    )  # fmt: skip
+    claims += [
+        Claim(f"{section}.{name}", section, words, theirs, 100 * float(ours), "%", between(theirs - 5, theirs + 5), basis, why)
+        for name, section, words, theirs, ours, why in pairs
+    ]  # fmt: skip
+    lower = _lower_components(with_it.runs)
+    claims += [
+        Claim("8.4.3.spectrum", "8.4.3", "Tones of the reference at which the error of H-infinity is the smaller (Fig. 8.11)",
+              6.0, float(lower), "1", at_least(6.0), "three tones, without and with noise; first draw; published: all"),
+        Claim("8.4.1.order", "8.4.1", "Steady-state error: H-infinity below the PID", 1.0,
+              float(merits["steps", "H-infinity"].steady_um < merits["steps", "PID"].steady_um), "1", at_least(1.0), basis),
+        Claim("8.4.2.ratio_without", "8.4.2", "The same devices with the width difference removed: ratio of the RMSE", None,
+              float(np.mean(without.ratios["multi"])), "1", _above(1.0), basis),
+        Claim("8.4.2.turned", "8.4.2", "Draws of which the difference turns the comparison round", None,
+              float(np.sum((without.ratios["multi"] > 1) & (with_it.ratios["multi"] < 1))), "1", at_least(DRAWS), basis),
+    ]  # fmt: skip
+    for name, found in diagnoses.items():
+        first = found.effects[0].id if found.effects else "nothing"
+        claims.append(
+            Claim(f"8.4.diagnosis.{name.replace(' ', '_')}", "8.4", f"`diagnose` names the difference first: {name}", None,
+                  float(first == EFFECT), "1", at_least(1.0), f"named first: {first}; first proof draw, {DIFFERENCE_K:g} K")
+        )  # fmt: skip
+    return claims
+
+
+def _above(limit: float) -> Rule:
+    return Rule(f"above {limit:g}", lambda ours: ours > limit)
+
+
+def _amplitudes(result: LoopResult) -> np.ndarray:
+    """Amplitude of the error at each tone of the reference [um]; the record holds whole periods of all."""
+    time = result.time_s - result.time_s[0]
+    return np.array([
+        2 * np.abs(np.mean(1e6 * result.error_m * np.exp(-2j * np.pi * tone * time))) for tone in _TONES_HZ
+    ])  # fmt: skip
+
+
+def _lower_components(runs: Mapping[tuple[str, str], LoopResult]) -> int:
+    return sum(
+        int(np.sum(_amplitudes(runs[kind, "H-infinity"]) < _amplitudes(runs[kind, "PID"])))
+        for kind in ("multi", "noise")
+    )
+
+
+def _turned() -> Table:
+    """The ratio without the difference, with every other effect of the catalogue and other readings of the chapter."""
+    seeds = DEVELOPMENT_SEEDS[:TRIED_DRAWS]
+    tried: dict[str, float] = {}
+    for name, record in effects().items():
+        if name == EFFECT or not record.occurs_on(DEVICE):
+            continue
+        for signal in record.signals(DEVICE):
+            values: dict[str, float | str] = {
+                key: high for key, (_, high) in record.magnitudes(DEVICE, signal).items()
+            }
+            if values:
+                given = {**values, "signal": signal} if signal else values
+                label = f"{name} on {signal}" if signal else name
+                try:
+                    tried[label] = ratio(means(seeds, ("multi",), 0.0, effects={name: given}))
+                except ValueError:  # no calibration with it: a drift over hours
+                    tried[label] = np.nan
+    others: dict[str, dict[str, Any]] = {
+        "transition_offset -1 K": {"effects": {"transition_offset": {"offset": -1.0}}},
+        "transition_offset -3 K": {"effects": {"transition_offset": {"offset": -3.0}}},
+        "heating 21.7 s, cooling 27.8 s (labels of Table 8.1)": {
+            "effects": {"cooling_asymmetry": {"ratio": 0.281}}, "body": {"time_constant": 21.7},
+        },
+        "T = 29.25 - 50.55 i (line of Table 8.1)": {"body": {"ambient": 29.25, "linear_gain": -50.55}},
+    }  # fmt: skip
+    for label, change in others.items():
+        tried[label] = ratio(means(seeds, ("multi",), 0.0, **change))
+    rows = sorted(((label, f"{value:.2f}") for label, value in tried.items()), key=lambda row: float(row[1]))
+    nothing = ratio(means(seeds, ("multi",), 0.0))
+    caption = (
+        f"Ruled out: every other effect of the catalogue at its clearly visible size, without the difference, {TRIED_DRAWS} "
+        f"development draws; ratio of the RMSE, published 0.82, with none of them {nothing:.2f}"
+    )
+    return Table(caption, ("tried", "ratio"), tuple(rows))
+
+
+def _unexplained(with_it: Compared) -> Table:
+    """Candidates for the noise run and the steps, with the difference."""
+    seeds = DEVELOPMENT_SEEDS[:TRIED_DRAWS]
+
+    def row(label: str, **settings: Any) -> tuple[str, ...]:
+        found = means(seeds, EXPERIMENTS, conditions=Conditions(**settings))
+        growth = 100 * (found["noise", "PID"].rmse_um / found["multi", "PID"].rmse_um - 1)
+        return (
+            label, f"{ratio(found):.2f}", f"{ratio(found, 'noise'):.2f}", f"{growth:+.1f}",
+            f"{found['noise', 'PID'].effort_ma:.1f}", f"{found['steps', 'PID'].rmse_um:.2f}",
+            f"{found['steps', 'H-infinity'].rmse_um:.2f}",
         )  # fmt: skip
 
+    rows = (
+        ("published", "0.82", "0.65", "+18.6", "33.6", "6.28", "6.05"),
+        row("as it stands"),
+        row("noise 3 times as large", noise_a=0.03),
+        row("noise 10 times as large", noise_a=0.1),
+        row("noise below 0.4 Hz", noise_band=0.1),
+        row("noise below 0.04 Hz, of the same size", noise_band=0.01),
+        row("multi-sine 0.65 times as large", multi_scale=0.65),
+        row("steps from 0 um", step_start_m=0.0),
+        row("steps to 20, 40, 60 um", steps_m=(20e-6, 40e-6, 60e-6)),
+        row("steps to 25, 45, 25 um", steps_m=(25e-6, 45e-6, 25e-6)),
+    )
+    head = (
+        "candidate", "ratio", "ratio with noise", "PID with noise, %", "PID effort with noise, mA", "PID steps, um",
+        "H-inf steps, um",
+    )  # fmt: skip
+    caption = f"Candidates for what does not fit, with the difference, {TRIED_DRAWS} development draws"
+    return Table(caption, head, rows)
+
+
+def _figures(shown: Mapping[tuple[str, str], LoopResult]) -> tuple[Figure, ...]:
     def tracking(kind):
         def plot(top, bottom):
             for name, style in (("PID", "-"), ("H-infinity", "--")):
@@ -119,18 +412,9 @@ def run(context: Context) -> Section:
         axis.set_xlabel("frequency [Hz]")
         axis.set_ylabel("amplitude of the error [um]")
 
-    figures = (
+    return (
         draw("Fig. 8.5 and 8.6: step references, first device.", tracking("steps"), rows=2, height=2.4),
         draw("Fig. 8.7 and 8.8: multi-sine reference, first device.", tracking("multi"), rows=2, height=2.4),
         draw("Fig. 8.9: the same with current noise, first device.", tracking("noise"), rows=2, height=2.4),
         draw("Fig. 8.11: spectrum of the tracking errors, first device.", spectrum),
     )
-    lasting = abs(calibration.operating_a / float(np.real(PUBLISHED_CONTROLLER(0))))
-    remarks = (
-        "Both designs are linear and for small deviations: the current that holds 35 um (mean of both branches) is added "
-        "to both. Counted from zero current instead, the H-infinity design, which has no integral action, would need a "
-        f"lasting error of {lasting:.0f} um to hold the device in its transition. Every loop first regulates for 100 s to "
-        "5 um (steps) or to the reference's first value; errors are of the true deflection, after the first 5 %. "
-        "Absolute values compare two different devices; the ratio is what says which design wins.",
-    )
-    return Section(NUMBER, TITLE, tuple(claims), figures, remarks)
