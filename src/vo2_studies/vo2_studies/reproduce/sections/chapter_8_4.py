@@ -352,7 +352,7 @@ def _turned() -> tuple[Table, str]:
     shown = [one for one in best if one[1] < 1.0]
     with_it = means(seeds, ("steps", "multi"))
     lines = [(EFFECT, ratio(with_it), f"difference {DIFFERENCE_K:g}", with_it), *shown]
-    rows = [("published", "", "0.82", "1.24 / 1.02", "1.11 / 0.62", "49.1 / 48.2")]
+    rows: list[tuple[str, ...]] = [("published", "", "0.82", "1.24 / 1.02", "1.11 / 0.62", "49.1 / 48.2")]
     rows += [
         (
             name, label, f"{value:.2f}",
