@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from vo2_models.io import OutputFolder
+from vo2_models.io import InputError, OutputFolder
 
 from vo2_studies.challenge.draw import draw_case
 from vo2_studies.challenge.plan import CasePlan, Choice
@@ -55,12 +55,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.cases < 1 or options.timeout <= 0:
         print("width_difference: --cases, --timeout: need at least 1", file=sys.stderr)
         return 2
-    outputs = OutputFolder(options.output, ("width_difference.json", "with", "without"))
+    outputs = OutputFolder(options.output, ("width_difference.json",))
     named: dict[str, list[bool]] = {"with": [], "without": []}
     lines = []
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         outputs.check()
+    except InputError as error:
+        print(f"width_difference: --output: {error}", file=sys.stderr)
+        return 2
+    try:
         for kind, choice in (("with", Choice(only_effects=(NAME,))), ("without", Choice(kinds=("none",)))):
             settings = Settings(options.seed, choice=choice)
             runner = CaseRunner(settings, Paths(options.output / kind), timeout_s=options.timeout)
