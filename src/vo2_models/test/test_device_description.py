@@ -193,7 +193,7 @@ def test_files_that_are_none(tmp_path):
     (tmp_path / "list.yaml").write_text("[1, 2]", encoding="utf-8")
     with pytest.raises(ValueError, match="found list, need keys and values"):
         preset(tmp_path / "list.yaml")
-    with pytest.raises(ValueError, match="integrated, peltier, or the path"):
+    with pytest.raises(ValueError, match="integrated, peltier, peltier_chapter8, or the path"):
         preset("nowhere")
     with pytest.raises(ValueError, match="cannot be simulated"):
         truth(described(STACK, "stack").key)
