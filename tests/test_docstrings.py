@@ -16,6 +16,7 @@ LIBRARIES = (
     "vo2_estimation",
     "vo2_control",
     "vo2_identification",
+    "rig_template",
 )
 
 

@@ -9,18 +9,18 @@ no current that the device does not bear.
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from vo2_interface.command_gate import CommandGate
 from vo2_interface.diagnostics import Diagnostics
 from vo2_interface.emergency_stop import EmergencyStop
 from vo2_interface.executable import node_main
 from vo2_interface.inputs import SampleInput
-from vo2_interface.lockstep import HOLD_SAMPLES, REPEAT_S
+from vo2_interface.lockstep import REPEAT_S
 from vo2_interface.model import model_parameters, operating_point
 from vo2_interface.parameters import ParameterTable
 from vo2_interface.samples import ClockWriter, SampleReader, SampleWriter
@@ -67,7 +67,6 @@ _CLOCK_NS = 10_000_000
 _BEAT_NS = 1_000_000_000
 _CLOCKS_S = 1.0
 """Wall time between two looks for others that tell the time [s]."""
-_SOLE = "another node commands too; only the first is heard until it is silent: let one node command"
 _LATE = 0.75
 """Share of a period by which a sample may be late before it counts as skipped."""
 
@@ -93,11 +92,9 @@ class PlantNode(Node):
         self._start_ns = _START_NS
         self._stamp_ns = self._start_ns
         self._command: tuple[int, float] | None = None
-        self._since_command = HOLD_SAMPLES + 1
-        self._commander = math.nan
-        self._point = operating_point(preset)
+        point = operating_point(preset)
+        self._gate = CommandGate((point.least_a, point.most_a), self._period_ns, self._diagnostics)
         self._timing = LoopTiming(self._device.period)
-        self._answered_ns = 0
         self._used_a = SAFE_CURRENT_A
         self._clock_every = max(1, _CLOCK_NS // self._period_ns)
         self._beat_every = max(1, _BEAT_NS // self._period_ns)
@@ -138,43 +135,11 @@ class PlantNode(Node):
         ]
         self._diagnostics.report("device", "ok", ", ".join(parts))
 
-    def _borne(self, current: float) -> float:
-        """Return what the device bears of a commanded current [A], and tell where that is another one."""
-        if self._point.least_a <= current <= self._point.most_a:
-            return current
-        if math.isfinite(current):
-            applied = min(max(current, self._point.least_a), self._point.most_a)
-            why = f"outside the {self._point.least_a:g} to {self._point.most_a:g} A that the device bears"
-        else:
-            applied, why = SAFE_CURRENT_A, "not finite"
-        self._diagnostics.report(
-            "command",
-            "error",
-            f"heater_current on {COMMAND} is {current:g} A, {why}; {applied:g} A is applied instead",
-            stamp_ns=self._stamp_ns,
-        )
-        return applied
-
     def _on_paced_command(self, data: bytes) -> None:
         """Wall time: take the newest command of the one that commands."""
         stamp_ns, (current, commander) = self._reader.read(data)
-        if self._since_command > HOLD_SAMPLES:
-            self._commander = commander
-        # two without a name are one
-        elif commander != self._commander and not (math.isnan(commander) and math.isnan(self._commander)):
-            self._diagnostics.count("commanders", _SOLE)
+        if self._gate.take(stamp_ns, current, commander, self._stamp_ns) is None:
             return
-        if abs(self._stamp_ns - stamp_ns) > HOLD_SAMPLES * self._period_ns:
-            self._diagnostics.count(
-                "stale", f"commands answer no sample of the last {HOLD_SAMPLES} periods and were not applied"
-            )
-            return
-        if stamp_ns < self._answered_ns:
-            self._diagnostics.count("stale", "commands came out of order and were not applied")
-            return
-        self._command = (stamp_ns, self._borne(current))
-        self._since_command = 0
-        self._answered_ns = stamp_ns
         now = time.monotonic()
         late_s = now - self._published_at + 1e-9 * (self._stamp_ns - stamp_ns)
         self._timing.command(now, max(late_s, 0.0))
@@ -182,7 +147,7 @@ class PlantNode(Node):
     def _on_command(self, data: bytes) -> None:
         """Lockstep: take the answer to the present sample."""
         stamp_ns, (current,) = self._reader.read(data)
-        current = self._borne(current)
+        current = self._gate.borne(current, self._stamp_ns)
         if stamp_ns == self._stamp_ns and self._command is None:
             self._command = (stamp_ns, current)
             self._answer_lockstep()
@@ -257,22 +222,12 @@ class PlantNode(Node):
         self._due_s = min(self._due_s, now)
         behind = int((now - self._due_s) / period + 1.0 - _LATE)
         self._due_s += (behind + 1) * period
-        self._timing.sample(now, behind, self._answered_ns >= self._stamp_ns)
+        self._timing.sample(now, behind, self._gate.answered_ns >= self._stamp_ns)
         # after a long stall the device is not stepped through all of it
         steps = min(behind + 1, round(1e9 / self._period_ns) + 1)
         self._index += behind + 1 - steps
         for _ in range(steps):
-            self._since_command += 1
-            if self._since_command > HOLD_SAMPLES + 1 and self._command is not None:
-                self._diagnostics.report(
-                    "command",
-                    "error",
-                    f"no command for {HOLD_SAMPLES} periods: safe current {SAFE_CURRENT_A:g} A",
-                )
-                self._command = None
-            elif self._command is not None and self._since_command <= 1:
-                self._diagnostics.report("command", "ok", "commands arrive")
-            self._advance(SAFE_CURRENT_A if self._command is None else self._command[1])
+            self._advance(self._gate.next_period())
         self._publish()
         if self._index % self._beat_every == 0:
             self._diagnostics.report("pace", "ok", "wall time", self._timing.values())
