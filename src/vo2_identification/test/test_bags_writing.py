@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from rosbags.interfaces import ConnectionExtRosbag2, QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 from vo2_identification.bags import BagError, BagWriter, read_bag, read_recording, write_bag
+from vo2_identification.bags.joint_state import encode
 from vo2_models.recording import Recording
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -217,3 +218,43 @@ def test_any_increasing_stamps_and_values_survive(tmp_path_factory, steps, seed,
     read, _ = read_recording(path)
     np.testing.assert_array_equal(read.time_s, time_s)
     np.testing.assert_array_equal(read["film_resistance"], values)
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+@pytest.mark.parametrize("split", [{"split_bytes": 100_000}, {"split_s": 2.0}, {}])
+def test_a_split_and_compressed_bag_is_one_bag_for_every_reader(tmp_path, compression, split):
+    samples = [
+        encode([k * 1_000_000], ["heater_current"], np.array([[k * 1e-6]]), "x")[0] for k in range(5000)
+    ]
+    with BagWriter(tmp_path / "bag", compression=compression, **split) as bag:
+        numbers = [bag.add_topic(topic, JOINT_STATE) for topic in ("/vo2/measurement", "/vo2/command")]
+        for k, data in enumerate(samples):
+            bag.write(numbers[k % 2], k * 1_000_000, data)
+        assert bag.counts == {"/vo2/measurement": 2500, "/vo2/command": 2500} or bag.count < 5000
+    assert bag.count == 5000
+    files = sorted(tmp_path.glob("bag/*.mcap"))
+    assert [file.name for file in files] == [f"bag_{k}.mcap" for k in range(len(files))]
+    expected = {"split_bytes": range(2, 12), "split_s": [3]}.get(next(iter(split), ""), [1])
+    assert len(files) in expected
+    if split.get("split_bytes") and compression == "none":
+        assert max(file.stat().st_size for file in files) < 1.1 * split["split_bytes"]
+    if compression != "none" and not split:
+        # 47 bytes a message are its head and its entry in the index
+        assert files[0].stat().st_size < 0.6 * sum(len(data) + 47 for data in samples)
+    by_rosbags = read_by_rosbags(tmp_path / "bag")
+    assert [time for _, time, _ in by_rosbags] == [k * 1_000_000 for k in range(5000)]
+    assert [message.position[0] for _, _, message in by_rosbags] == [k * 1e-6 for k in range(5000)]
+    ours, problems = read_bag(tmp_path / "bag")
+    assert {problem.kind for problem in problems} == {"missing_topic"}
+    assert [len(ours[role]) for role in ("measurement", "command")] == [2500, 2500]
+    information = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())[
+        "rosbag2_bagfile_information"
+    ]
+    assert information["message_count"] == 5000
+    assert sum(file["message_count"] for file in information["files"]) == 5000
+
+
+def test_what_sqlite_cannot_do_is_one_line_and_leaves_nothing(tmp_path):
+    with pytest.raises(BagError, match="found sqlite3, need mcap"):
+        BagWriter(tmp_path / "bag", storage="sqlite3", compression="zstd")
+    assert not (tmp_path / "bag").exists()

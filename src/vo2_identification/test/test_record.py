@@ -100,10 +100,16 @@ def test_a_killed_recorder_leaves_a_bag_up_to_the_last_second(graph, tmp_path, s
         assert counted(tmp_path / "bag") == {"/vo2/measurement": len(recording)}
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_and_sigterm_close_a_complete_bag(graph, tmp_path, how):
+@pytest.mark.parametrize(
+    ("how", "options", "files"),
+    [
+        (signal.SIGINT, ["--compression", "lz4"], 1),
+        (signal.SIGTERM, ["--compression", "zstd", "-d", "0.03"], 4),
+    ],
+)
+def test_ctrl_c_and_sigterm_close_a_complete_bag(graph, tmp_path, how, options, files):
     measurement = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
-    with running(RECORD, "--output", tmp_path / "bag") as process:
+    with running(RECORD, "--output", tmp_path / "bag", *options) as process:
         wait_for_recorder(measurement)
         publish_paced(measurement, [sample(k) for k in range(100)], 1000)
         process.send_signal(how)
@@ -111,6 +117,7 @@ def test_ctrl_c_and_sigterm_close_a_complete_bag(graph, tmp_path, how):
     assert process.returncode == 0, err
     assert "Traceback" not in err
     assert "Recorded 100 messages" in out
+    assert len(list((tmp_path / "bag").glob("*.mcap"))) == files
     recording, problems = read_recording(tmp_path / "bag")
     assert len(recording) == 100
     assert {problem.kind for problem in problems} == {"missing_topic"}
@@ -244,6 +251,8 @@ def test_a_duration_ends_it_and_silence_is_said(tmp_path):
         (["--output", "{new}", "--duration", "-1"], "--duration"),
         (["--output", "{new}", "--messages", "0"], "--messages"),
         (["--output", "{new}", "--speed", "1"], "--speed"),
+        (["--output", "{new}", "-b", "0"], "--max-bag-size"),
+        (["--output", "{new}", "--storage", "sqlite3", "-d", "5"], "need mcap"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(tmp_path, capsys, arguments, named):

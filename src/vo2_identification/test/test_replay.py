@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import itertools
+import os
+import pty
 import signal
+import sys
 import time
 
 import numpy as np
 import pytest
 from bag_makers import JOINT_STATE, bag_by_rosbags, measurements
-from graph import PATIENCE_S, Graph, running
+from graph import PATIENCE_S, Graph, environment, running
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
 from vo2_identification.bags import BagError, BagWriter, write_bag
 from vo2_identification.bags.joint_state import encode
 from vo2_identification.bags.playback import outline, schedule
@@ -179,6 +183,84 @@ def test_a_stamp_that_cannot_be_moved_on_ends_with_a_line(tmp_path):
     bag = stock_bag(tmp_path / "bag", stamps_s=[2.0**31 - 1.0, 2.0**31 - 0.5])
     with pytest.raises(BagError, match=r"cannot be moved on .* play the bag fewer times"):
         list(schedule(bag, outline(bag), passes=3))
+
+
+def split_bag(path):
+    """A bag of three compressed files, 2.5 s long."""
+    with BagWriter(path, compression="zstd", split_s=1.0) as bag:
+        number = bag.add_topic("/vo2/measurement", JOINT_STATE)
+        for k in range(250):
+            stamp = 10_000_000 * (k + 1)
+            bag.write(number, stamp, encode([stamp], ["heater_current"], np.array([[1e-3]]), "x")[0])
+    assert len(list(path.glob("*.mcap"))) == 3
+    return path
+
+
+def ask(graph, kind, name, request):
+    client = graph.node.create_client(kind, f"/replay/{name}")
+    graph.spin_until(client.service_is_ready, "the service")
+    answer = client.call_async(request)
+    graph.spin_until(answer.done, "the answer")
+    return answer.result()
+
+
+def pass_time(graph, seconds):
+    end = time.monotonic() + seconds
+    graph.spin_until(lambda: time.monotonic() > end, "time")
+
+
+def test_a_split_bag_is_paused_stepped_and_resumed_by_service(graph, tmp_path):
+    heard = graph.collect(JointState, "/vo2/measurement", READ_QOS)
+    clocks = graph.collect(Clock, "/clock", READ_QOS)
+    bag = split_bag(tmp_path / "bag")
+    with running(REPLAY, bag, "--wait", 10, "--start-paused", "--clock", 50) as process:
+        assert ask(graph, Trigger, "step", Trigger.Request()).success
+        graph.spin_until(lambda: len(heard) == 1, "one message")
+        for _ in range(2):
+            ask(graph, Trigger, "step", Trigger.Request())
+        graph.spin_until(lambda: len(heard) == 3, "two more")
+        assert ask(graph, SetBool, "pause", SetBool.Request(data=False)).success
+        graph.spin_until(lambda: len(heard) > 20, "it goes on")
+        refused = ask(graph, Trigger, "step", Trigger.Request())
+        assert (refused.success, refused.message[:26]) == (False, "the replay is not paused: ")
+        assert ask(graph, SetBool, "pause", SetBool.Request(data=True)).success
+        pass_time(graph, 0.3)  # what was on its way
+        count = len(heard)
+        pass_time(graph, 0.5)
+        assert len(heard) == count
+        ask(graph, SetBool, "pause", SetBool.Request(data=False))
+        graph.spin_until(lambda: len(heard) == 250, "the end")
+        out, err = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, err) == (0, "")
+    assert "longer than planned" not in out or "Replayed 250" in out
+    assert stamps(heard) == [10_000_000 * (k + 1) for k in range(250)]
+    told = [clock.clock.sec * 1_000_000_000 + clock.clock.nanosec for clock in clocks]
+    assert told == sorted(told)
+    assert told[-1] <= 2_500_000_000
+
+
+def test_keys_pause_and_step(graph, tmp_path):
+    heard = graph.collect(JointState, "/vo2/measurement", READ_QOS)
+    bag = split_bag(tmp_path / "bag")
+    program = f"import sys; from {REPLAY} import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", program, str(bag), "--wait", "10", "--start-paused"]
+    child, terminal = pty.fork()
+    if child == 0:
+        os.execve(sys.executable, command, environment())
+    try:
+        said = b""
+        while b"space pauses" not in said:
+            said += os.read(terminal, 1024)
+        os.write(terminal, b"s")
+        graph.spin_until(lambda: len(heard) == 1, "one message")
+        os.write(terminal, b"\x1b[C")
+        graph.spin_until(lambda: len(heard) == 2, "another")
+        os.write(terminal, b" ")
+        graph.spin_until(lambda: len(heard) == 250, "the end")
+    finally:
+        os.kill(child, signal.SIGTERM)
+        os.waitpid(child, 0)
+        os.close(terminal)
 
 
 @pytest.mark.parametrize(

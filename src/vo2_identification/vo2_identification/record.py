@@ -41,10 +41,10 @@ def main(args: Sequence[str] | None = None) -> int:
     options, ros_args = _parser().parse_known_args(args)
     if "--ros-args" not in ros_args and ros_args:
         return _refuse(f"{ros_args[0]}: no such option; see --help")
-    for name in ("duration", "messages"):
+    for name in ("duration", "messages", "max_bag_size", "max_bag_duration"):
         value = getattr(options, name)
         if value is not None and value <= 0:
-            return _refuse(f"--{name}: found {value:g}, need a number above 0")
+            return _refuse(f"--{name.replace('_', '-')}: found {value:g}, need a number above 0")
     if sum(map(bool, (options.topics, options.all, options.regex))) > 1:
         return _refuse("found several of --topics, --all, --regex; need one of them")
     try:
@@ -55,7 +55,13 @@ def main(args: Sequence[str] | None = None) -> int:
     from vo2_identification.bags import BagError, BagWriter
 
     try:
-        bag = BagWriter(options.output, storage=options.storage)
+        bag = BagWriter(
+            options.output,
+            storage=options.storage,
+            compression=options.compression,
+            split_bytes=options.max_bag_size,
+            split_s=options.max_bag_duration,
+        )
     except BagError as error:
         return _refuse(str(error))
     status = 2
@@ -213,6 +219,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--storage", choices=["mcap", "sqlite3"], default="mcap", help="Storage of the bag. Default: mcap."
+    )
+    parser.add_argument(
+        "--compression",
+        choices=["none", "zstd", "lz4"],
+        default="none",
+        help="Compression of the chunks of an mcap file, which every reader of MCAP undoes. Default: none.",
+    )
+    parser.add_argument(
+        "-b", "--max-bag-size", type=int, metavar="BYTES", help="Begin another mcap file at this size."
+    )
+    parser.add_argument(
+        "-d",
+        "--max-bag-duration",
+        type=float,
+        metavar="S",
+        help="Begin another mcap file after so many seconds of the samples' clock.",
     )
     parser.add_argument(
         "--duration", type=float, metavar="S", help="Stop after so many seconds of wall time."

@@ -16,13 +16,15 @@ if TYPE_CHECKING:
 
     from vo2_identification.bags.channels import Channel
     from vo2_identification.bags.playback import Outline
+    from vo2_identification.replay_control import ReplayControl
 
 __all__ = ["main"]
 
 _DESCRIPTION = """
 Publish the messages of a rosbag2 bag with the quality of service they were recorded with, in the rhythm of their log
 times, as they are: stamps are not changed. Only a second and later pass of --loop moves the stamps on by the length
-of the bag, so that they go on increasing.
+of the bag, so that they go on increasing. In a terminal, space pauses and resumes, the right arrow or s plays one
+message; so do the services ~/pause (std_srvs/srv/SetBool) and ~/step (std_srvs/srv/Trigger) of the node `replay`.
 """
 _SLICE_S = 0.05
 _SETTLE_S = 0.3
@@ -84,6 +86,7 @@ def _replay(bag: Outline, options: argparse.Namespace, ros_args: list[str]) -> i
 
 def _publish_all(node: Node, bag: Outline, options: argparse.Namespace, stopped: Callable[[], bool]) -> int:
     from vo2_identification.bags.playback import schedule
+    from vo2_identification.replay_control import KEYS, ReplayControl
 
     publishers: dict[str, Publisher] = {}
     latched = []
@@ -110,8 +113,6 @@ def _publish_all(node: Node, bag: Outline, options: argparse.Namespace, stopped:
             f"Looping: each pass moves the stamps on by {step:.6g} s, so that they go on increasing.",
             flush=True,
         )
-    count, slipped, last = 0, 0.0, bag.first_ns
-    began = shown = time.monotonic()
     due_messages = schedule(
         options.bag,
         bag,
@@ -120,25 +121,38 @@ def _publish_all(node: Node, bag: Outline, options: argparse.Namespace, stopped:
         passes=passes,
         latched=latched,
     )
-    for due in due_messages:
-        target = began + slipped + due.due_s / options.rate
-        if (behind := time.monotonic() - target) > _SLIP_S:
-            slipped += (
-                behind  # catching up in a burst would overrun the queues: rather lose time than samples
-            )
-        while not stopped() and (remaining := target - time.monotonic()) > 0:
+    count, slipped, last = 0, 0.0, bag.first_ns
+    with ReplayControl(node, paused=options.start_paused) as control:
+        if control.keys:
+            print(f"Keys: {KEYS}.", flush=True)
+        began = shown = time.monotonic()
+        stood = 0.0
+        for due in due_messages:
+            control.look()
+            if control.paused:
+                stood += _stand(control, began + slipped + stood + due.due_s / options.rate, stopped)
+            target = began + slipped + stood + due.due_s / options.rate
+            if (behind := time.monotonic() - target) > _SLIP_S:
+                slipped += (
+                    behind  # catching up in a burst would overrun the queues: rather lose time than samples
+                )
+            while not stopped() and (remaining := target - time.monotonic()) > 0:
+                if tell_time:
+                    tell_time(due.time_ns - round(remaining * options.rate * _NS))
+                time.sleep(min(remaining, _SLICE_S, 1 / options.clock if tell_time else _SLICE_S))
+                control.look()
+                if control.paused:
+                    moved = _stand(control, target, stopped)
+                    stood, target = stood + moved, target + moved
+            if stopped():
+                break
             if tell_time:
-                tell_time(due.time_ns - round(remaining * options.rate * _NS))
-            time.sleep(min(remaining, _SLICE_S, 1 / options.clock if tell_time else _SLICE_S))
-        if stopped():
-            break
-        if tell_time:
-            tell_time(due.time_ns)
-        publishers[due.topic].publish(due.data)
-        count, last = count + 1, due.time_ns
-        if (now := time.monotonic()) - shown > 1.0:
-            _show_progress(f"{count} messages, {(last - bag.first_ns) / _NS:.1f} s into the bag")
-            shown = now
+                tell_time(due.time_ns)
+            publishers[due.topic].publish(due.data)
+            count, last = count + 1, due.time_ns
+            if (now := time.monotonic()) - shown > 1.0:
+                _show_progress(f"{count} messages, {(last - bag.first_ns) / _NS:.1f} s into the bag")
+                shown = now
     took = time.monotonic() - began
     if not stopped():
         _wait_for_readers(publishers, stopped)  # the last messages are still on their way
@@ -153,6 +167,28 @@ def _publish_all(node: Node, bag: Outline, options: argparse.Namespace, stopped:
         flush=True,
     )
     return 0
+
+
+def _stand(control: ReplayControl, target_s: float, stopped: Callable[[], bool]) -> float:
+    """Stand until the replay goes on or one message is to be played; return by how much its time moves [s].
+
+    Parameters
+    ----------
+    control : of the replay
+    target_s : when the next message would be due [s]
+    stopped : whether the end was asked for
+
+    Returns
+    -------
+    float
+    """
+    began = time.monotonic()
+    while control.paused and not stopped():
+        if control.take_step():
+            return time.monotonic() - target_s
+        time.sleep(_SLICE_S / 5)
+        control.look()
+    return time.monotonic() - began
 
 
 def _wait_for_subscribers(
@@ -272,6 +308,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="HZ",
         help="Publish the bag's time on /clock, HZ times a second (100 if no number is given).",
     )
+    parser.add_argument("--start-paused", action="store_true", help="Begin paused.")
     parser.add_argument(
         "--wait",
         type=float,

@@ -1,4 +1,4 @@
-"""Decompression that gives what it can of data cut short, and no more than a stated multiple of it.
+"""Compression, and decompression that gives what it can of data cut short, and no more than a stated multiple of it.
 
 A few hundred kilobytes of zstd or lz4 can stand for gigabytes. Recordings compress some 20 times; what expands to more
 than 200 times its size plus a megabyte is cut there; what is held in memory whole, a chunk or a message, at 268 MB.
@@ -15,11 +15,13 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-__all__ = ["ZSTD_MAGIC", "expand", "expand_pieces", "most_bytes"]
+__all__ = ["COMPRESSIONS", "ZSTD_MAGIC", "compress", "expand", "expand_pieces", "most_bytes"]
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 """First bytes of every zstd frame; serialized messages begin with 0x00."""
 
+COMPRESSIONS = ("none", "zstd", "lz4")
+"""What chunks of an MCAP file may be compressed with."""
 _PIECE = 1 << 16
 _MOST_TIMES = 200
 _SLACK = 1 << 20
@@ -29,6 +31,34 @@ _MOST_AT_ONCE = 1 << 28
 def most_bytes(compressed: int) -> int:
     """Return how many bytes this many compressed bytes may stand for."""
     return _MOST_TIMES * compressed + _SLACK
+
+
+def compress(data: bytes, compression: str) -> bytes:
+    """Return the compressed bytes.
+
+    Parameters
+    ----------
+    data : of any length
+    compression : "", "zstd" or "lz4" as MCAP names them
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    ValueError : unknown compression.
+    """
+    if compression == "":
+        return data
+    if compression == "zstd":
+        return zstd.compress(data)
+    if compression == "lz4":
+        import lz4.frame
+
+        compressed: bytes = lz4.frame.compress(data)
+        return compressed
+    raise ValueError(f"compression {compression!r} is not known, need zstd, lz4 or none")
 
 
 def expand(data: bytes, compression: str) -> tuple[bytes, str]:

@@ -15,17 +15,24 @@ from pathlib import Path
 from zlib import crc32
 
 from vo2_identification.bags.channels import Channel
+from vo2_identification.bags.decompression import compress
 from vo2_identification.bags.mcap_scan import MAGIC
 
 __all__ = ["McapFile"]
 
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_CONTENT = 22
+_INDEX_ENTRY = 16
 _FULL_CHUNK = 1 << 20
 
 
 class McapFile:
     """Storage of one bag file.
+
+    Parameters
+    ----------
+    path : of the new file
+    compression : of every chunk: "", "zstd" or "lz4"
 
     Attributes
     ----------
@@ -34,8 +41,9 @@ class McapFile:
     first_ns, last_ns : log times [ns] of the earliest and latest message on disk, 0 where there is none
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, compression: str = "") -> None:
         self.path = path
+        self._compression = compression
         self.counts: dict[int, int] = {}
         self.first_ns = 0
         self.last_ns = 0
@@ -46,6 +54,7 @@ class McapFile:
         self._chunk_indexes: list[bytes] = []
         self._chunk = bytearray()
         self._index: dict[int, list[int]] = {}
+        self._index_size = 0
         self._sequence: dict[int, int] = {}
         self._end = 0
         self._tail = b""
@@ -75,12 +84,18 @@ class McapFile:
         if places is None:
             places = self._index[number] = []
         places += (log_time_ns, len(chunk))
+        self._index_size += _INDEX_ENTRY
         sequence = self._sequence[number] = self._sequence[number] + 1
         chunk += _MESSAGE.pack(
             0x05, _MESSAGE_CONTENT + len(data), number, sequence & 0xFFFFFFFF, log_time_ns, log_time_ns
         )
         chunk += data
         return len(chunk) > _FULL_CHUNK
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file, with what waits to be written as it is."""
+        return self._end + len(self._tail) + len(self._chunk) + self._index_size
 
     @property
     def pending(self) -> int:
@@ -108,13 +123,14 @@ class McapFile:
         """
         counts, first, last = self.pending_totals()
         chunk, index = bytes(self._chunk), self._index
-        self._chunk, self._index = bytearray(), {}
+        self._chunk, self._index, self._index_size = bytearray(), {}, 0
         body, chunk_indexes = b"", self._chunk_indexes
         if chunk:
             times = [time for places in index.values() for time in places[::2]]
             span = (min(times, default=0), max(times, default=0))
-            head = struct.pack("<QQQI", *span, len(chunk), crc32(chunk))
-            body = _record(0x06, head + _text("") + struct.pack("<Q", len(chunk)) + chunk)
+            head = struct.pack("<QQQI", *span, len(chunk), crc32(chunk)) + _text(self._compression)
+            packed = compress(chunk, self._compression)
+            body = _record(0x06, head + struct.pack("<Q", len(packed)) + packed)
             chunk_length, offsets = len(body), []
             for number, places in index.items():
                 offsets.append((number, self._end + len(body)))
@@ -123,8 +139,8 @@ class McapFile:
             entry = struct.pack("<QQQQ", *span, self._end, chunk_length)
             entry += struct.pack("<I", 10 * len(offsets))
             entry += b"".join(struct.pack("<HQ", *offset) for offset in offsets)
-            entry += struct.pack("<Q", len(body) - chunk_length) + _text("")
-            entry += struct.pack("<QQ", len(chunk), len(chunk))
+            entry += struct.pack("<Q", len(body) - chunk_length) + _text(self._compression)
+            entry += struct.pack("<QQ", len(packed), len(chunk))
             chunk_indexes = [*chunk_indexes, _record(0x08, entry)]
         tail = _tail_records(
             self._end + len(body),

@@ -7,6 +7,7 @@ import os
 import shutil
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
@@ -18,6 +19,7 @@ from rosbags.interfaces import Qos
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, Recording
 
 from vo2_identification.bags.channels import JOINT_STATE, Channel
+from vo2_identification.bags.decompression import COMPRESSIONS
 from vo2_identification.bags.joint_state import encode, typestore
 from vo2_identification.bags.mcap_file import McapFile
 from vo2_identification.bags.problems import BagError
@@ -45,19 +47,39 @@ class BagWriter:
     path : directory to create; must not exist
     storage : "mcap" or "sqlite3"
     flush_period_s : a message written longer ago than this is on disk [s]; checked at `write`
+    compression : of the chunks of an mcap file: "none", "zstd" or "lz4"
+    split_bytes : size at which another mcap file begins, None for never
+    split_s : span of log times at which another mcap file begins [s], None for never
 
     Raises
     ------
-    BagError : unknown storage, the path exists, or cannot be made.
+    BagError : unknown storage, one that cannot do what is asked, the path exists, or cannot be made.
     """
 
-    def __init__(self, path: str | Path, *, storage: str = "mcap", flush_period_s: float = 0.5) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        storage: str = "mcap",
+        flush_period_s: float = 0.5,
+        compression: str = "none",
+        split_bytes: int | None = None,
+        split_s: float | None = None,
+    ) -> None:
         if storage not in STORAGES:
             raise BagError(f"storage: found {storage!r}, need {' or '.join(STORAGES)}")
+        if compression not in COMPRESSIONS:
+            raise BagError(f"compression: found {compression!r}, need one of {', '.join(COMPRESSIONS)}")
+        if storage != "mcap" and (compression != "none" or split_bytes or split_s):
+            raise BagError(f"storage: found {storage}, need mcap for a bag that is compressed or split")
         self.path = Path(path)
         self.flush_period_s = flush_period_s
         self._storage_id = storage
-        kind, ending = STORAGES[storage]
+        self._compression = "" if compression == "none" else compression
+        self._split_bytes = split_bytes or math.inf
+        self._split_ns = math.inf if split_s is None else split_s * 1e9
+        self._file_first_ns: int | None = None
+        self._finished: list[_File] = []
         try:
             self.path.mkdir(parents=True)
         except FileExistsError:
@@ -68,8 +90,7 @@ class BagWriter:
         self._closed = False
         self._due = time.monotonic() + flush_period_s
         try:
-            # rosbag2 numbers its files, since a bag can be split
-            self._storage: Any = kind(self.path / f"{self.path.resolve().name}_0{ending}")
+            self._storage = self._new_file()
             self._write_metadata(self._metadata())
         except OSError as error:
             self.discard()
@@ -78,13 +99,14 @@ class BagWriter:
     @property
     def count(self) -> int:
         """Number of messages on disk."""
-        return sum(self._storage.counts.values())
+        return sum(self.counts.values())
 
     @property
     def counts(self) -> dict[str, int]:
         """Number of messages on disk of each topic."""
         return {
             channel.topic: self._storage.counts[number]
+            + sum(file.counts.get(number, 0) for file in self._finished)
             for number, (channel, _) in enumerate(self._topics, start=1)
         }
 
@@ -109,8 +131,35 @@ class BagWriter:
         ------
         OSError : the disk is full or gone; the bag stays readable up to the flush before.
         """
+        if self._is_full(log_time_ns):
+            self._begin_file()
+        if self._file_first_ns is None:
+            self._file_first_ns = log_time_ns
         if self._storage.write(number, log_time_ns, data) or time.monotonic() >= self._due:
             self.flush()
+
+    def _is_full(self, log_time_ns: int) -> bool:
+        if self._file_first_ns is None:
+            return False
+        return log_time_ns - self._file_first_ns >= self._split_ns or (
+            self._split_bytes < math.inf and self._storage.size >= self._split_bytes
+        )
+
+    def _new_file(self) -> Any:
+        kind, ending = STORAGES[self._storage_id]
+        # rosbag2 numbers the files of a bag
+        path = self.path / f"{self.path.resolve().name}_{len(self._finished)}{ending}"
+        return kind(path, self._compression) if self._compression else kind(path)
+
+    def _begin_file(self) -> None:
+        """Close the present file and go on in another, with the same topics."""
+        self.flush()
+        done = self._storage
+        self._finished.append(_File(done.path.name, dict(done.counts), done.first_ns, done.last_ns))
+        done.close()
+        self._storage, self._file_first_ns = self._new_file(), None
+        for number, (channel, _) in enumerate(self._topics, start=1):
+            self._storage.add_channel(number, channel, message_definition(channel.msgtype)[0])
 
     def flush(self) -> None:
         """Bring everything written so far to disk.
@@ -163,10 +212,9 @@ class BagWriter:
 
     def _metadata(self) -> dict[str, Any]:
         counts, first, last = self._storage.pending_totals()
-        total = sum(counts.values())
-        start = {"nanoseconds_since_epoch": first}
-        duration = {"nanoseconds": last - first}
-        name = self._storage.path.name
+        files = [*self._finished, _File(self._storage.path.name, counts, first, last)]
+        filled = [file for file in files if sum(file.counts.values())] or files[:1]
+        first, last = min(file.first_ns for file in filled), max(file.last_ns for file in filled)
         topics = [
             {
                 "topic_metadata": {
@@ -176,7 +224,7 @@ class BagWriter:
                     "offered_qos_profiles": profiles(qos),
                     "type_description_hash": channel.type_hash,
                 },
-                "message_count": counts[number],
+                "message_count": sum(file.counts.get(number, 0) for file in files),
             }
             for number, (channel, qos) in enumerate(self._topics, start=1)
         ]
@@ -184,20 +232,21 @@ class BagWriter:
             _INFORMATION: {
                 "version": 9,
                 "storage_identifier": self._storage_id,
-                "duration": duration,
-                "starting_time": start,
-                "message_count": total,
+                "duration": {"nanoseconds": last - first},
+                "starting_time": {"nanoseconds_since_epoch": first},
+                "message_count": sum(sum(file.counts.values()) for file in files),
                 "topics_with_message_count": topics,
                 "compression_format": "",
                 "compression_mode": "",
-                "relative_file_paths": [name],
+                "relative_file_paths": [file.name for file in files],
                 "files": [
                     {
-                        "path": name,
-                        "starting_time": dict(start),
-                        "duration": dict(duration),
-                        "message_count": total,
+                        "path": file.name,
+                        "starting_time": {"nanoseconds_since_epoch": file.first_ns},
+                        "duration": {"nanoseconds": file.last_ns - file.first_ns},
+                        "message_count": sum(file.counts.values()),
                     }
+                    for file in files
                 ],
                 "custom_data": None,
                 "ros_distro": "jazzy",
@@ -222,6 +271,16 @@ class BagWriter:
 
 
 _INFORMATION = "rosbag2_bagfile_information"
+
+
+@dataclass(frozen=True)
+class _File:
+    """One file of a bag: its name, messages of each topic number, earliest and latest log time [ns]."""
+
+    name: str
+    counts: Mapping[int, int]
+    first_ns: int
+    last_ns: int
 
 
 def write_bag(
