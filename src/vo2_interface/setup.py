@@ -26,5 +26,7 @@ setup(
     license=PACKAGE.findtext("license"),
     # newer setuptools drops tests_require, and colcon would then silently run no test
     extras_require={"test": ["pytest"]},
-    entry_points={"console_scripts": ["live = vo2_interface.live.node:main"]},
+    entry_points={
+        "console_scripts": ["live = vo2_interface.live.node:main", "supervise = vo2_interface.supervise:main"]
+    },
 )
