@@ -29,6 +29,7 @@ WITH_ANOTHER = {
     "cycler": "matplotlib",
     "backports": "rosbags",
     "compression": "rosbags",
+    "llvmlite": "numba",
     "slycot": "control",
 }
 """Module -> the one whose installation brings it."""
