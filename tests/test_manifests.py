@@ -20,6 +20,7 @@ KEYS = {
     "pytest": "python3-pytest",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
+    "tqdm": "python3-tqdm",
     "yaml": "python3-yaml",
 }
 """Module -> key of rosdistro's python.yaml; a ROS package has its own name."""
