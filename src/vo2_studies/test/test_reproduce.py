@@ -92,6 +92,8 @@ def test_what_the_text_contradicts_is_neither_met_nor_missed():
     assert [claim.state for claim in claims] == ["met", "missed", "contradicted", "met"]
     assert not claims[2].met and claims[2].record()["contradicted"] == "the table says 2"
     assert str(tally(claims)).startswith("3 published values: 1 met, 1 missed, 1 contradicted")
+    derived = Claim("e", "8", "x", 1.0, 1.0, "1", within(1.0, 0.1), derived=True)
+    assert derived.state == "consistent" and tally([*claims, derived]).met == 1
     story = ("told <b>", Table("caption", ("tried", "ratio"), (("this & that", "0.82"),)))
     text = page([Section("8", "T", tuple(claims), story=story)], command="x", seconds=1.0)
     assert "told &lt;b&gt;" in text and "this &amp; that" in text and "the table says 2" in text

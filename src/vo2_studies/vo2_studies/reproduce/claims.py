@@ -87,6 +87,7 @@ class Claim:
     rule : when it is met
     conditions : under which ours was found
     contradicted : what in the published text contradicts this claim; empty where nothing does
+    derived : whether ours comes from other printed figures, which is no reproduction; counted apart
     """
 
     id: str
@@ -98,11 +99,14 @@ class Claim:
     rule: Rule
     conditions: str = ""
     contradicted: str = ""
+    derived: bool = False
 
     @property
     def state(self) -> str:
-        """`contradicted`, `met` or `missed`."""
-        return "contradicted" if self.contradicted else "met" if self.met else "missed"
+        """`contradicted`, `met` or `missed`; `consistent` for a derived figure that follows from the others."""
+        if self.contradicted:
+            return "contradicted"
+        return "missed" if not self.met else "consistent" if self.derived else "met"
 
     @property
     def met(self) -> bool:
@@ -162,26 +166,41 @@ class Section:
 
 @dataclass(frozen=True)
 class Tally:
-    """How many claims with a published value are met, missed and contradicted; and how many of our own hold."""
+    """How many claims with a published value are met, missed and contradicted; and how many of our own hold.
+
+    Attributes
+    ----------
+    consistent, inconsistent : figures that the text derives from others, and those of them that do not follow
+    """
 
     met: int
     missed: int
     contradicted: int
     own_met: int
     own: int
+    consistent: int = 0
+    inconsistent: int = 0
 
     def __str__(self) -> str:
         published = self.met + self.missed + self.contradicted
-        return (
+        parts = [
             f"{published} published values: {self.met} met, {self.missed} missed, {self.contradicted} contradicted by the "
-            f"text itself; of {self.own} claims of our own {self.own_met} met"
-        )
+            "text itself"
+        ]
+        if self.consistent + self.inconsistent:
+            parts.append(
+                f"{self.consistent} figures that the text derives follow from its others, {self.inconsistent} do not"
+            )
+        if self.own:
+            parts.append(f"of {self.own} claims of our own {self.own_met} met")
+        return "; ".join(parts)
 
 
 def tally(claims: Iterable[Claim]) -> Tally:
     """Count claims by their state."""
     claims = list(claims)
-    published = [c.state for c in claims if c.published is not None]
+    derived = [c.state for c in claims if c.derived]
+    published = [c.state for c in claims if c.published is not None and not c.derived]
     own = [c.met for c in claims if c.published is None]
     return Tally(
         met=published.count("met"),
@@ -189,6 +208,8 @@ def tally(claims: Iterable[Claim]) -> Tally:
         contradicted=published.count("contradicted"),
         own_met=sum(own),
         own=len(own),
+        consistent=derived.count("consistent"),
+        inconsistent=len(derived) - derived.count("consistent"),
     )
 
 

@@ -52,7 +52,14 @@ class GraphLoop:
 
 
 def run_loops(
-    loops: Sequence[GraphLoop], device: str, seed: int, wanted_m: Floats, lead: int, folder: Path
+    loops: Sequence[GraphLoop],
+    device: str,
+    seed: int,
+    wanted_m: Floats,
+    lead: int,
+    folder: Path,
+    *,
+    plant: Mapping[str, Value] | None = None,
 ) -> list[PhaseData]:
     """Run all loops side by side on devices of the same seed, in lockstep; return what the bag holds of each.
 
@@ -62,6 +69,7 @@ def run_loops(
     wanted_m : (n,) reference at the preset's period [m], from the first sample on
     lead : first samples that are left out of what is returned (and are in the bag)
     folder : gets `bag`, `reference.csv`, the loops' parameter files and the logs of the nodes; replaced
+    plant : further parameters of every plant, such as effects
 
     Raises
     ------
@@ -87,7 +95,7 @@ def run_loops(
             topics = [f"{loop.namespace}/{name}" for loop in loops for name in _SAMPLES]
             graph.start("record", arguments=["--output", str(folder / "bag"), "--topics", *topics, "/clock"])
             for loop in loops:
-                _start(graph, loop, device, seed, count, folder, clock=loop is loops[0])
+                _start(graph, loop, device, seed, count, folder, plant or {}, clock=loop is loops[0])
             names = [f"{loop.namespace}/{node}" for loop in loops for node in loop.nodes]
             conductor.wait_for_nodes(names)
             expected: dict[tuple[str, str], int] = {}
@@ -127,11 +135,25 @@ def run_loops(
 
 
 def _start(
-    graph: Graph, loop: GraphLoop, device: str, seed: int, count: int, folder: Path, *, clock: bool
+    graph: Graph,
+    loop: GraphLoop,
+    device: str,
+    seed: int,
+    count: int,
+    folder: Path,
+    plant: Mapping[str, Value],
+    *,
+    clock: bool,
 ) -> None:
     space = loop.namespace
     parameters: dict[str, Mapping[str, Value]] = {
-        "plant": {"seed": seed, "true_channels": True, "clock": clock, "run_until_s": _FIRST_STAMP_S},
+        "plant": {
+            "seed": seed,
+            "true_channels": True,
+            "clock": clock,
+            "run_until_s": _FIRST_STAMP_S,
+            **plant,
+        },
         "estimator": loop.estimator,
         "controller": {**loop.controller, "enabled": False},
         "reference": {"signal": "none"},

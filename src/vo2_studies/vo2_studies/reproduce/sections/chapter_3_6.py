@@ -7,7 +7,7 @@ from vo2_models.hysteresis import compress, merge
 from vo2_models.hysteresis.prandtl_ishlinskii import PlayModel
 from vo2_models.identification.excitation import random_levels
 
-from vo2_studies.reproduce.claims import Claim, Context, Section, at_most
+from vo2_studies.reproduce.claims import Claim, Context, Section, between, within_or_above, within_or_below
 from vo2_studies.reproduce.figures import STYLES, draw
 from vo2_studies.reproduce.film import COLD, HOT, excitation, film, fitted_resistance
 
@@ -82,25 +82,37 @@ def run(context: Context) -> Section:
     for j, scheme in enumerate(SCHEMES):
         claims.append(
             Claim(f"3.6.1.{scheme}", "3.6.1", f"Modelling error of {_WORDS[scheme]}", _MODELLING[scheme],
-                  float(modelling[:, j].mean()), "%", at_most(_MODELLING[scheme]), basis)
+                  float(modelling[:, j].mean()), "%", within_or_below(_MODELLING[scheme], 0.1), basis)
         )  # fmt: skip
         for i, kind in enumerate(("unscaled", "scaled")):
             published = _VERIFICATION[scheme][i]
             claims.append(
                 Claim(f"3.6.2.{scheme}_{kind}", "3.6.2",
                       f"Verification error of {_WORDS[scheme]}, {'weights scaled' if i else 'weights as they are'}", published,
-                      float(verification[:, j, i].mean()), "%", at_most(published), basis)
+                      float(verification[:, j, i].mean()), "%", within_or_below(published, 0.1), basis)
             )  # fmt: skip
+    for j, scheme in enumerate(SCHEMES):
+        gain = 100 * float((1 - verification[:, j, 1] / verification[:, j, 0]).mean())
+        claims.append(
+            Claim(f"3.6.2.{scheme}_gain", "3.6.2", f"What scaling gains in verification, {_WORDS[scheme]}", 15.0, gain, "%",
+                  between(10.0, 20.0), f"published: 10 to 20 %; {basis}")
+        )  # fmt: skip
     for j, scheme in ((1, "sum"), (2, "max")):
+        less = 100 * float((1 - modelling[:, j] / modelling[:, 0]).mean())
+        claims.append(
+            Claim(f"3.6.1.{scheme}_less", "3.6.1", f"Modelling error of {_WORDS[scheme]} below uniform compression", 32.0, less,
+                  "%", within_or_above(32.0, 0.1), f"published: about 32 %; {basis}")
+        )  # fmt: skip
         claims.append(
             Claim(f"3.6.1.{scheme}_over_uniform", "3.6.1", f"Modelling error of {_WORDS[scheme]} over uniform compression",
                   _MODELLING[scheme] / _MODELLING["uniform"], float((modelling[:, j] / modelling[:, 0]).mean()), "1",
-                  at_most(1.0), basis)
+                  within_or_below(_MODELLING[scheme] / _MODELLING["uniform"], 0.1), basis)
         )  # fmt: skip
         claims.append(
             Claim(f"3.6.2.{scheme}_scaling", "3.6.2", f"Verification error of {_WORDS[scheme]}: scaled over unscaled weights",
                   _VERIFICATION[scheme][1] / _VERIFICATION[scheme][0],
-                  float((verification[:, j, 1] / verification[:, j, 0]).mean()), "1", at_most(1.0), basis)
+                  float((verification[:, j, 1] / verification[:, j, 0]).mean()), "1",
+                  within_or_below(_VERIFICATION[scheme][1] / _VERIFICATION[scheme][0], 0.1), basis)
         )  # fmt: skip
 
     model, probe, answer, training, measured, modelled = first

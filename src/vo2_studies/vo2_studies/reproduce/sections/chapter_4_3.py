@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
+from scipy.fft import dct
+from scipy.optimize import nnls
+from vo2_models.hysteresis.preisach.compressive_sensing import identify_preisach_compressed
+from vo2_models.hysteresis.preisach.grid import cell_count
+from vo2_models.hysteresis.preisach.operator import PreisachOperator
+from vo2_models.hysteresis.preisach.signed_area import signed_area_matrix
+from vo2_models.identification.excitation import damped_oscillation
 
 from vo2_studies.preisach.monte_carlo import (
     MEASURES,
@@ -12,7 +21,7 @@ from vo2_studies.preisach.monte_carlo import (
     CompressiveStudy,
     compressive_sensing_study,
 )
-from vo2_studies.reproduce.claims import Claim, Context, Section, at_least, at_most, within
+from vo2_studies.reproduce.claims import Claim, Context, Section, at_least, within, within_or_below
 from vo2_studies.reproduce.figures import STYLES, draw
 from vo2_studies.reproduce.pool import run_many
 
@@ -27,13 +36,89 @@ COMPARED = ("CS Order Non-negative", "CS Order", "CS")
 _COEFFICIENTS = 17.3
 """Error of q_order by CS Order over that of q by CS, per cent."""
 _AT_300 = {"Least Squares": 0.048, "CS": 0.024, "CS Order": 0.011, "CS Order Non-negative": 0.010}
-"""Errors under a random input with 300 measurements: it is the baseline that differs."""
+"""Errors under a random input with 300 measurements: three of four differ."""
 
 
 def study(job: tuple[int, float, int, int]) -> CompressiveStudy:
     """One number of measurements: (measurements, half amplitude of the noise, runs, seed)."""
     count, noise, runs, seed = job
     return compressive_sensing_study((count,), runs=runs, noise=noise, seed=seed)
+
+
+_SPARSITY = {"as they come": (8665.8, 363), "sorted": (18703.4, 415)}
+"""Largest coefficient and number below 1 % of it, of q and of q_order."""
+_SECONDS = {"Least Squares": 1.18, "CS": 0.28, "CS Order": 0.29, "CS Order Non-negative": 1.99}
+"""Average run times of the publication."""
+
+
+def _sparsity(seed: int, draws: int = 20) -> list[Claim]:
+    """Sparsity of the noise-free outputs' cosine transform, of densities as the section draws them."""
+    level = 30
+    walls = np.arange(level + 1.0)
+    inputs, rng = damped_oscillation(walls), np.random.default_rng(seed)
+    found: dict[str, list[tuple[float, int]]] = {name: [] for name in _SPARSITY}
+    for _ in range(draws):
+        density = rng.uniform(0.0, 12.0, cell_count(level))
+        outputs = PreisachOperator(walls, density, 0.0, "square")(inputs)
+        for name, values in (("as they come", outputs), ("sorted", np.sort(outputs))):
+            size = np.abs(dct(values, norm="ortho"))
+            found[name].append((float(size.max()), int(np.sum(size < 0.01 * size.max()))))
+    claims = []
+    for name, (largest, small) in _SPARSITY.items():
+        ours = np.mean(found[name], axis=0)
+        basis = f"mean of {draws} densities, orthonormal transform"
+        why = (
+            ""
+            if name != "sorted"
+            else "a sorted output is monotonic and its transform falls off at once: the published 51 "
+            "coefficients above 1 % cannot come from a clean sort"
+        )
+        claims += [
+            Claim(f"4.3.largest.{name.split()[-1]}", "4.3", f"Largest coefficient of the outputs, {name}", largest,
+                  float(ours[0]), "output unit", within(largest, 0.1), basis),
+            Claim(f"4.3.small.{name.split()[-1]}", "4.3", f"Coefficients below 1 % of the largest, outputs {name}", float(small),
+                  float(ours[1]), "1", within(small, 0.05), basis, why),
+        ]  # fmt: skip
+    return claims
+
+
+def _run_times(seed: int, count: int = 300) -> list[Claim]:
+    """Processor time of each method over that of least squares, one identification from 300 outputs."""
+    level = 30
+    walls = np.arange(level + 1.0)
+    inputs, rng = damped_oscillation(walls), np.random.default_rng(seed)
+    cells = cell_count(level)
+    matrix = signed_area_matrix(inputs, walls, diagonal="square")
+    outputs = PreisachOperator(walls, rng.uniform(0.0, 12.0, cells), 0.0, "square")(inputs)
+    rows = np.sort(rng.choice(cells + 1, count, replace=False))
+    measured = (outputs + rng.uniform(-5.0, 5.0, cells + 1))[rows]
+    order = np.argsort(outputs)
+
+    def solve(name: str) -> None:
+        if name == "Least Squares":
+            nnls(matrix[rows], measured)
+            return
+        identify_preisach_compressed(
+            measured, rows, walls, order=order if "Order" in name else None, nonnegative="Non-negative" in name,
+            noise=0.0, diagonal="square",
+        )  # fmt: skip
+
+    seconds = {}
+    for name in _SECONDS:
+        solve(name)
+        began = time.process_time()
+        solve(name)
+        seconds[name] = time.process_time() - began
+    return [
+        Claim(f"4.3.time.{name.lower().replace(' ', '_')}", "4.3", f"Run time of {name} over that of least squares",
+              published / _SECONDS["Least Squares"], seconds[name] / seconds["Least Squares"], "1",
+              within_or_below(published / _SECONDS["Least Squares"], 0.2),
+              f"{count} outputs, processor time; {1e3 * seconds[name]:.0f} ms against the published {1e3 * published:.0f} ms")
+        for name, published in _SECONDS.items() if name != "Least Squares"
+    ] + [
+        Claim("4.3.time.least_squares", "4.3", "Run time of least squares", 1.18, seconds["Least Squares"], "s",
+              within_or_below(1.18, 0.2), f"{count} outputs, processor time")
+    ]  # fmt: skip
 
 
 def run(context: Context) -> Section:
@@ -59,7 +144,7 @@ def run(context: Context) -> Section:
         Claim(
             f"4.3.{measure.replace(' ', '_')}.{method.lower().replace(' ', '_')}", "4.3",
             f"RMSE of {method} over that of least squares, {measure}", 100 * published[method],
-            100 * whole.ratio(measure, method), "%", at_most(round(100 * published[method], 1)), conditions,
+            100 * whole.ratio(measure, method), "%", within_or_below(100 * published[method], 0.1), conditions,
         )
         for measure, published in PUBLISHED.items()
         for method in COMPARED
@@ -78,7 +163,7 @@ def run(context: Context) -> Section:
             Claim(
                 f"4.3.model.{method.lower().replace(' ', '_')}.{short}", "4.3",
                 f"RMSE of {method} over that of another baseline ({baseline.lower()}), model", 100 * published,
-                100 * whole.ratio("model", method, baseline), "%", at_most(round(100 * published, 1)),
+                100 * whole.ratio("model", method, baseline), "%", within_or_below(100 * published, 0.1),
                 f"what the baseline does to the ratio; {conditions}",
             )
             for method, published in ((m, PUBLISHED["model"][m]) for m in COMPARED)
@@ -96,6 +181,8 @@ def run(context: Context) -> Section:
               float(ranks.sum()), "1", at_least(ranks.size),
               f"CS Order Non-negative < CS Order < CS < least squares; {conditions}")
     )  # fmt: skip
+    claims += _sparsity(context.seed)
+    claims += _run_times(context.seed)
     column = METHODS.index("CS")
     sweep = np.array([part.errors["density"][0, column] for part in parts[len(MEASUREMENTS) :]])
     sweep = sweep.reshape(len(NOISES), len(NOISE_MEASUREMENTS))
@@ -132,6 +219,9 @@ def run(context: Context) -> Section:
         ),
     )
     remarks = (
+        "The baseline was read as printed: least |S w - b| with w >= 0, on the same measurements. At 300 measurements CS agrees "
+        "with the publication, but least squares, CS Order and CS Order Non-negative, three of four, do not, and the published "
+        "sparsity of the sorted output excludes a clean sort: it is the text that does not agree with itself.",
         "The lines at 300 measurements tell which side of a ratio differs from the publication. Further baselines and the "
         "reasoning stand in vo2_studies.preisach.monte_carlo. The figures show the methods of the publication, the first two "
         "other baselines and no more.",

@@ -10,7 +10,7 @@ from vo2_studies.preisach.compressive_device_study import (
     CompressiveDeviceStudy,
     compressive_device_study,
 )
-from vo2_studies.reproduce.claims import Claim, Context, Section, at_least, at_most
+from vo2_studies.reproduce.claims import Claim, Context, Section, at_least, within_or_below
 from vo2_studies.reproduce.figures import STYLES, draw
 from vo2_studies.reproduce.pool import run_many
 
@@ -19,6 +19,12 @@ NUMBER, TITLE = "4.4", "Compressive sensing on a device"
 DEVICES, RUNS = 10, 2
 MEASUREMENTS = (100, 200, 300, 400)
 COMPARED = ("CS Order Non-negative", "CS Order", "CS")
+
+_AT_300 = {
+    "density": {"Least Squares": 0.122, "CS": 0.116, "CS Order": 0.096, "CS Order Non-negative": 0.059},
+    "random input": {"Least Squares": 1.010, "CS": 0.891, "CS Order": 0.831, "CS Order Non-negative": 0.778},
+}
+"""Errors with 300 measurements: of the density [um/V^2], under a random input [um]."""
 
 
 def study(seed: int) -> CompressiveDeviceStudy:
@@ -46,7 +52,7 @@ def run(context: Context) -> Section:
                 Claim(
                     f"4.4.{measure.replace(' ', '_')}.{method.lower().replace(' ', '_')}", "4.4.2",
                     f"RMSE of {method} over that of least squares, {'modelling' if measure == 'model' else measure}",
-                    100 * ratios[method], 100 * float(np.median(ours)), "%", at_most(round(100 * ratios[method], 1)),
+                    100 * ratios[method], 100 * float(np.median(ours)), "%", within_or_below(100 * ratios[method], 0.1),
                     f"median of the devices (smallest {100 * ours.min():.0f}, largest {100 * ours.max():.0f}); {basis}",
                 )
             )  # fmt: skip
@@ -57,6 +63,23 @@ def run(context: Context) -> Section:
     ranked = np.sum(
         (np.array(mean[COMPARED[0]]) < mean[COMPARED[1]]) & (np.array(mean[COMPARED[1]]) < mean[COMPARED[2]])
     )
+    place = MEASUREMENTS.index(300)
+    for measure, published in _AT_300.items():
+        if measure not in found[0].errors:
+            continue
+        for method in COMPARED:
+            ours = np.array(
+                [
+                    one.errors[measure][place, METHODS.index(method)] / one.errors[measure][place, 0]
+                    for one in found
+                ]
+            )
+            ratio = published[method] / published["Least Squares"]
+            claims.append(
+                Claim(f"4.4.at_300.{measure.replace(' ', '_')}.{method.lower().replace(' ', '_')}", "4.4.2",
+                      f"RMSE of {method} over that of least squares at 300 measurements, {measure}", 100 * ratio,
+                      100 * float(np.median(ours)), "%", within_or_below(100 * ratio, 0.1), f"median of the devices; {basis}")
+            )  # fmt: skip
     claims.append(
         Claim("4.4.order", "4.4.2", "Devices on which CS Order Non-negative < CS Order < CS, modelling error", None,
               float(ranked), "1", at_least(DEVICES), basis)
