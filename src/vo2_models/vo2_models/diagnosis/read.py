@@ -7,16 +7,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from vo2_models.diagnosis.breakdown import one_loop
 from vo2_models.diagnosis.check import Finding, Unusable, check_recording
+from vo2_models.diagnosis.consistency import check_consistency
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nominal import Nominal, Response, loop_ends
 from vo2_models.diagnosis.nuisance import (
     Constant,
+    Coverage,
     LoopShape,
     constants_of,
     coverage,
+    coverage_of,
     loop_shapes,
     open_shapes,
     refitted_constants,
@@ -30,6 +34,8 @@ __all__ = ["Reading", "read"]
 Floats = NDArray[np.float64]
 STEP = 0.1
 """Step of a delay around its best, in sample periods."""
+EARLIEST = -3.0
+"""Earliest answer before its command that is looked for, in sample periods."""
 ONE_LOOP = Finding(
     "one loop",
     "the film went over one and the same loop only, on which many effects look alike, and may look like another loop: "
@@ -107,10 +113,11 @@ def read(
     parts, stamps = _restamped(parts, corrected, limits)
     findings += stamps
     started = [_detect_initial_state(part, corrected) for part in parts]
+    check_consistency(started, nominal, calibrations)
     parts, findings = _mask_after_gaps(started, nominal, findings)
     paths = [response.temperature for _, response in started]
-    if not calibrations:
-        parts, findings = _mask_uncovered(parts, paths, nominal, tuple(shapes), findings)
+    covered = coverage_of(paths) if calibrations else coverage(nominal)
+    parts, findings = _mask_uncovered(parts, paths, covered, tuple(shapes), findings)
     repeating = one_loop(paths, [part.dt for part in parts])
     if repeating:
         findings = [*findings, ONE_LOOP]
@@ -119,25 +126,44 @@ def read(
 
 
 def _restamped(parts: Sequence[Part], nominal: Nominal, limits: Limits) -> tuple[list[Part], list[Finding]]:
-    """Move commands that are stamped at the other end of the interval which they govern to where they act.
+    """Move commands that do not stand where they act, by what can only be their stamps.
 
-    One sample period early or late, and nothing between, is a convention of the rig and no physics. Where an answer comes
-    before its command only the stamps can be wrong; where it comes one period late, a dead time of just that length is
-    the alternative, and hardly one.
+    Where an answer comes before its command only the stamps can be wrong, by whatever that is. Where it comes one sample
+    period late, and nothing between, that is a convention of the rig (a dead time of just that length is the alternative,
+    and hardly one). Any other lateness is one, or a dead time: the recording cannot tell, and it is left to the search.
     """
     found, told = [], []
     for part in parts:
         misfit = {k: _misfit(part, nominal, k) for k in (-1.0, 0.0, 1.0)}
         best = min((-1.0, 1.0), key=lambda k: misfit[k])
+        delay = 0.0
         if misfit[best] < limits.stamps * misfit[0.0] and _peaks_at(best, part, nominal, limits):
-            part = replace(part, current=_shifted(part.current, best))
-            end = "end" if best < 0 else "start"
+            delay = best
+        elif best < 0.0 and misfit[best] < misfit[0.0]:
+            plain = replace(nominal, corrections={})  # a tenth of the time, and as good for that
+            early = minimize_scalar(
+                lambda k, part=part, plain=plain: _misfit(part, plain, k),
+                bounds=(EARLIEST, 0.0),
+                method="bounded",
+                options={"xatol": 1e-2, "maxiter": 12},
+            )
+            if (
+                _misfit(part, nominal, float(early.x)) < limits.stamps * misfit[0.0]
+                and early.x < -limits.whole_period
+            ):
+                delay = float(early.x)
+        if delay:
+            part = replace(part, current=_shifted(part.current, delay))
+            where = {
+                -1.0: "stamped at the end of the interval that they govern",
+                1.0: "stamped at the start of the interval that they govern",
+            }
             told.append(
                 Finding(
                     "stamps",
-                    f"{part.name}: commands act {part.dt:.4g} s {'before' if best < 0 else 'after'} where they stand: taken as "
-                    f"stamped at the {end} of the interval that they govern, recording.command_delay {best * part.dt:+.4g} s "
-                    "beside that of the model",
+                    f"{part.name}: commands act {abs(delay) * part.dt:.4g} s {'before' if delay < 0 else 'after'} where they "
+                    f"stand: taken as {where.get(delay, 'stamped late')}, recording.command_delay "
+                    f"{delay * part.dt:+.4g} s beside that of the model",
                 )
             )
         found.append(part)
@@ -221,12 +247,11 @@ def _mask_after_gaps(
 def _mask_uncovered(
     given: Sequence[Part],
     paths: Sequence[Floats],
-    nominal: Nominal,
+    covered: Coverage,
     channels: Sequence[str],
     findings: Sequence[Finding],
 ) -> tuple[list[Part], list[Finding]]:
-    """Leave out of these channels what happens at temperatures (n,) [degC] that the calibration did not cover."""
-    covered = coverage(nominal)
+    """Leave out of these channels what happens at temperatures (n,) [degC] that are not covered."""
     parts, beyond, count = [], 0, 0
     for part, path in zip(given, paths, strict=True):
         inside = covered.holds(path)

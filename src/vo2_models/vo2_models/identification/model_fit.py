@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.device.description import preset
+from vo2_models.device.description import DeviceDescription, preset
 from vo2_models.device.model import DeviceModel
 from vo2_models.diagnosis.current_reading import current_reading
 from vo2_models.diagnosis.noise import fit_noise
@@ -28,6 +28,8 @@ from vo2_models.self_sensing.characterisation import characterise
 __all__ = ["fit_model"]
 
 Floats = NDArray[np.float64]
+LATE, SURE = 0.1, 4.0
+"""Dead time that is told of a device without one, in sample periods, and in its own standard deviations."""
 
 
 def fit_model(
@@ -71,6 +73,7 @@ def fit_model(
             f"commands act {delay:.4g} s after where they stand in the recording, which the model allows for"
         )
         result = replace(result, model=replace(result.model, command_delay=delay))
+    notes += _lateness(result, description, recordings[0].sample_period_s)
     result = replace(result, notes=(*notes, *result.notes, *judge_fit(result, recordings)))
     parameters = result.model.to_parameters()
     both = [r for r in recordings if RESISTANCE in r and TIP_DEFLECTION in r]
@@ -81,6 +84,18 @@ def fit_model(
             parameters |= characterise(max(both, key=len), parameters)
         parameters |= _digest(result, recordings[0], both[0] is recordings[0])
     return result, parameters
+
+
+def _lateness(result: FitResult, description: DeviceDescription, period: float) -> list[str]:
+    """Say that a device which should have no dead time has one: it may be the stamps."""
+    found = result.model.scalars["driver.dead_time"]
+    std = result.model.uncertainty.get("driver.dead_time", (0.0,))[0]
+    if description.dead_time > 0.0 or not description.has_body or found < max(LATE * period, SURE * std):
+        return []
+    return [
+        f"the device answers {found:.4g} +- {std:.1g} s after its drive: a dead time, or stamps that are early by that; "
+        "the model has it as driver.dead_time, which all that load it allow for"
+    ]
 
 
 def _digest(result: FitResult, recording: Recording, first: bool) -> dict[str, Value]:

@@ -19,6 +19,7 @@ __all__ = ["impossible", "unusual"]
 _MARGIN = 0.05
 _FAR = 30.0
 _FAR_RANGE = 150.0
+_MOST_OF_IT = 0.5
 _HOTTEST_DEGC = 200.0
 _COLDEST_DEGC = -100.0
 
@@ -48,11 +49,12 @@ def unusual(recording: Recording, device: str) -> list[str]:
     recording : in the contract's channels and units
     """
     nominal = preset(device)
+    small = _small_deflection(recording, nominal)
     if (
         not nominal.tells("responses", nominal.names.get(RESISTANCE, ""), "range")
         or RESISTANCE not in recording
     ):
-        return []
+        return small
     values = recording[RESISTANCE]
     values = values[np.isfinite(values)]
     found = []
@@ -69,7 +71,26 @@ def unusual(recording: Recording, device: str) -> list[str]:
                 f"{RESISTANCE} runs from {values.min():.4g} to {values.max():.4g} ohm, device {nominal.id} has "
                 f"{low:.4g} to {high:.4g} ohm: check the unit{guess}"
             )
-    return found
+    return found + small
+
+
+def _small_deflection(recording: Recording, nominal: DeviceDescription) -> list[str]:
+    """What says that a deflection is in too large a unit: next to none of it, though the drive went far."""
+    name = nominal.names.get(TIP_DEFLECTION, "")
+    if not nominal.tells("responses", name, "range") or not {TIP_DEFLECTION, HEATER_CURRENT} <= set(
+        recording.channels
+    ):
+        return []
+    tip, drive = (v[np.isfinite(v)] for v in (recording[TIP_DEFLECTION], recording[HEATER_CURRENT]))
+    low, high = nominal.operating_range
+    if not tip.size or not drive.size or np.ptp(drive) < _MOST_OF_IT * abs(high - low):
+        return []
+    if np.ptp(tip) * _FAR_RANGE > nominal.deflection_range:
+        return []
+    return [
+        f"{name} spans {np.ptp(tip):.3g} m, device {nominal.id} spans {nominal.deflection_range:.4g} m: check the unit "
+        "(is it in mm?)"
+    ]
 
 
 def _impossible(role: str, values: NDArray[np.float64], nominal: DeviceDescription) -> str:
