@@ -20,7 +20,6 @@ KEYS = {
     "pytest": "python3-pytest",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
-    "tqdm": "python3-tqdm",
     "yaml": "python3-yaml",
 }
 """Module -> key of rosdistro's python.yaml; a ROS package has its own name."""
@@ -30,7 +29,6 @@ WITH_ANOTHER = {
     "cycler": "matplotlib",
     "backports": "rosbags",
     "compression": "rosbags",
-    "llvmlite": "numba",
     "slycot": "control",
 }
 """Module -> the one whose installation brings it."""

@@ -7,8 +7,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from vo2_models.command_line import refuse
-
 __all__ = ["main"]
 
 _DESCRIPTION = """
@@ -43,7 +41,8 @@ def main(args: Sequence[str] | None = None) -> int:
         ]
         save_model_parameters(options.output, found, comment="\n".join(["compressed", *lines]))
     except ValueError as error:
-        return refuse("compress", error)
+        print(f"compress: {error}", file=sys.stderr)
+        return 2
     except OSError as error:
         print(
             f"compress: {options.output}: cannot be written ({error.strerror or error}); name another",

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from vo2_models.device.model import DeviceModel
     from vo2_models.prediction import Prediction
 
-from vo2_models.command_line import refuse
-
 __all__ = ["RESULTS", "main", "predicted_recording", "prediction_page"]
 
 _DESCRIPTION = """
@@ -41,7 +39,8 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         return _run(options)
     except (ValueError, OSError) as error:
-        return refuse("predict", error)
+        print(f"predict: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("predict: interrupted", file=sys.stderr)
         return 130

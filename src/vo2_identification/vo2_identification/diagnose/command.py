@@ -9,10 +9,9 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
-from vo2_models.command_line import Progress, refuse
-from vo2_models.io import OutputFolder
+from vo2_models.io import OutputFolder, one_line
 
 if TYPE_CHECKING:
     from vo2_models.diagnosis.result import Diagnosis, NextExperiment
@@ -66,9 +65,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run(options)
     except OSError as error:
         place = error.filename or options.output
-        return refuse("diagnose", f"{place}: cannot be written ({error.strerror or error})")
+        print(f"diagnose: {place}: cannot be written ({error.strerror or error})", file=sys.stderr)
+        return 2
     except ValueError as error:
-        return refuse("diagnose", error)
+        print(f"diagnose: {one_line(error)}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print(f"diagnose: interrupted; nothing more is written to {options.output}", file=sys.stderr)
         return 130
@@ -148,7 +149,7 @@ def diagnose_bags(
         recording, found = read_recording(bag, device=model.description)
         recordings.append(recording)
         problems += [f"{bag}: {problem}" for problem in in_few_lines(found)]
-    with Progress("diagnose", quiet=quiet, lines=False) as progress, ThreadPoolExecutor(1) as beside:
+    with _Progress(quiet=quiet) as progress, ThreadPoolExecutor(1) as beside:
         files = beside.submit(import_module, "vo2_models.diagnosis.files")  # what draws takes a while to load
         known = len(calibration)
         result = study(
@@ -217,7 +218,7 @@ def continue_with_next(
     print(f"--next: playing an experiment that separates {' and '.join(experiment.separates)}", flush=True)
     recording, _ = read_recording(bags[0])
     bag = output / "next"
-    with Progress("diagnose", quiet=quiet, lines=False) as progress:
+    with _Progress(quiet=quiet) as progress:
         complete = play(
             experiment.excitation,
             bag,
@@ -233,3 +234,27 @@ def continue_with_next(
     print(f"recorded: {bag}", flush=True)
     diagnose_bags([*bags, bag], parameters, output / "with_next", calibration=calibration, quiet=quiet)
     return 0
+
+
+class _Progress:
+    """One line on a terminal: share done, what is being done, remaining time."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self.silent = quiet or not sys.stderr.isatty()
+        self.began, self.width = time.perf_counter(), 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        if self.width:
+            print("\r" + " " * self.width + "\r", end="", file=sys.stderr, flush=True)
+
+    def __call__(self, share: float, text: str) -> None:
+        if self.silent:
+            return
+        elapsed = time.perf_counter() - self.began
+        rest = f", about {elapsed * (1 - share) / share:.0f} s left" if share > 0.05 else ""
+        line = f"{100 * share:3.0f} %  {text}{rest}"
+        print("\r" + line.ljust(self.width), end="", file=sys.stderr, flush=True)
+        self.width = max(self.width, len(line))

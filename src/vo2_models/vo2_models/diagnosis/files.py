@@ -6,48 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from vo2_models.diagnosis.nominal import THERMAL
+from vo2_models.diagnosis.corrected_model import StandIn, corrected_parameters, stand_in
 from vo2_models.diagnosis.page import report_page
 from vo2_models.diagnosis.report import assemble_diagnosis
 from vo2_models.diagnosis.result import Diagnosis, validate
 from vo2_models.diagnosis.stages import Study
-from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.io import write_whole
 from vo2_models.model_file import save_model_parameters
-from vo2_models.parameters import Value
 
-__all__ = ["corrected_parameters", "write_results"]
-
-
-def corrected_parameters(study: Study) -> dict[str, Value]:
-    """Return the model's parameters with named effects and moved constants (none of them, and it is the model itself)."""
-    flat, decision = dict(study.located.nominal.parameters), study.decision
-    if decision.verdict == "agrees":
-        return flat
-    model = study.located.nominal.model
-    chosen = decision.chosen.effects if decision.chosen else {}
-    values = decision.final.moved(decision.drift.weights)
-    zero, gain = values.get("deflection.zero", 0.0), values.get("deflection.gain", 1.0)
-    model = replace(
-        model,
-        effects={**model.effects, **chosen},
-        scalars={**model.scalars, **{name: values[name] for name in THERMAL if name in values}},
-        deflection=_scaled(model.deflection, gain, zero),
-        # the law is that of -log10 R
-        resistance=_scaled(model.resistance, 1.0, -float(np.log10(values.get("resistance.gain", 1.0)))),
-    )
-    return flat | model.to_parameters()
-
-
-def _scaled(bank: PlayBank, gain: float, zero: float) -> PlayBank:
-    """The law gain y + zero, zero in the output's unit."""
-    if not bank.present:
-        return bank
-    polynomial = gain * np.asarray(bank.polynomial)
-    polynomial[0] += zero
-    return replace(bank, weights=gain * np.asarray(bank.weights), polynomial=polynomial)
+__all__ = ["write_results"]
 
 
 def write_results(
@@ -61,11 +28,17 @@ def write_results(
     OSError : the disk is full or the folder cannot be written; names the file.
     """
     diagnosis = assemble_diagnosis(study)
+    unnamed = stand_in(study)
+    said = [unnamed.in_words()] if unnamed else []
+    if diagnosis.verdict == "differs" and study.decision.chosen is None and not unnamed:
+        said = [
+            "corrected_model.yaml has no correction of what has no name: no term of the catalogue comes near it"
+        ]
     diagnosis = replace(
-        diagnosis, limits=[*problems, *diagnosis.limits], seconds=seconds or diagnosis.seconds
+        diagnosis, limits=[*problems, *diagnosis.limits, *said], seconds=seconds or diagnosis.seconds
     )
     report = report_page(study, diagnosis)
-    corrected = corrected_parameters(study)
+    corrected = corrected_parameters(study, unnamed)
     # nothing is written before everything is known to be sound
     validate(diagnosis.to_dict())
     names = ", ".join(e.id for e in diagnosis.effects) or "none"
@@ -73,8 +46,13 @@ def write_results(
     save_model_parameters(
         folder / "corrected_model.yaml",
         corrected,
-        comment=f"Effects added by diagnose: {names}; constants moved: {moved}",
+        comment=f"Effects added by diagnose: {names}{_standing(unnamed)}; constants moved: {moved}",
     )
     write_whole(folder / "report.html", report)
     diagnosis.save(folder / "diagnosis.json")
     return diagnosis
+
+
+def _standing(unnamed: StandIn | None) -> str:
+    """What stands for the unknown in the file."""
+    return f" (described by {', '.join(unnamed.option.chosen.keys)})" if unnamed else ""

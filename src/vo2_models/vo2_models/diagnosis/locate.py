@@ -48,7 +48,12 @@ def locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
     """Build the problem, refit its nuisance parameters, and split what is left along every axis."""
     nominal = reading.nominal
     problem = linearise_problem(
-        nominal, reading.parts, constants=reading.constants, shapes=reading.shapes, say=clock.say
+        nominal,
+        reading.parts,
+        constants=reading.constants,
+        shapes=reading.shapes,
+        refits=reading.first_use,
+        say=clock.say,
     )
     problem = _relinearise_constants(nominal, problem, clock)
     nominal, problem = _refine_noise_model(nominal, problem, reading, limits, clock)
@@ -73,6 +78,7 @@ def _relinearise_constants(
             shift=shift,
             shapes=problem.shapes,
             loops=problem.loops,
+            refits=problem.refits,
             say=clock.say,
         )
         if moved.residual_chi_square >= problem.residual_chi_square - 10.0:
@@ -123,6 +129,7 @@ def _refine_noise_model(
         shift=problem.origin,
         shapes=shapes,
         loops=problem.loops,
+        refits=problem.refits,
         say=clock.say,
     )
 
@@ -130,10 +137,14 @@ def _refine_noise_model(
 def _excess(
     problem: LinearisedProblem, remaining: Floats, chi_square: float
 ) -> tuple[dict[str, float], float]:
-    """Excess power over noise power, by channel and of all: each channel's part of chi-square over its samples."""
+    """Excess power over noise power, by channel and of all: each channel's part of chi-square over its samples.
+
+    Of a device that is fitted anew, by what that leaves: what its large moves cost is nothing that a channel has too much.
+    """
     own: dict[str, list[float]] = {}
     for row, _, _ in problem.iterate():
-        energy = float(problem.residual[row.where] @ remaining[row.where])
+        left = remaining[row.where]
+        energy = float((left if problem.refits else problem.residual[row.where]) @ left)
         count = float(np.count_nonzero(problem.weight[row.where]))
         total = own.setdefault(row.channel, [0.0, 0.0])
         total[0] += energy

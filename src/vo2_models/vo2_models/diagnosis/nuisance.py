@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, cholesky_banded, solve_banded, solve_triangular
 
-from vo2_models.device import DeviceModel
+from vo2_models.device import DeviceModel, preset
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of
 from vo2_models.diagnosis.parallel import parallel_map
+from vo2_models.identification.bank_fit import BankShape, evaluate
 from vo2_models.identification.enrichment import Correction, EnrichmentBasis
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
@@ -23,6 +24,8 @@ __all__ = [
     "LoopShape",
     "constants_of",
     "coverage",
+    "coverage_of",
+    "law_columns",
     "loop_shapes",
     "open_shapes",
     "refitted_constants",
@@ -60,6 +63,10 @@ class LoopShape:
         """The mean correction, as a function of the temperature, for lags that are longer than the model's by `moved` [s]."""
         mean = self.mean + sum(self.by_lag[n] * by for n, by in (moved or {}).items() if n in self.by_lag)
         return self.basis.fold(np.asarray(mean), span=self.span)
+
+    def moved(self, weights: Floats) -> LoopShape:
+        """The same with its mean moved by weights (m,)."""
+        return replace(self, mean=self.mean + weights)
 
     def spread(self, directions: Floats) -> Floats:
         """Weights (m, k) that unit-normal directions (m, k) of what the calibration leaves open stand for."""
@@ -182,6 +189,13 @@ def coverage(nominal: Nominal, *, samples: float = 8.0) -> Coverage:
     return Coverage(edges, digest.count @ shares >= samples)
 
 
+def coverage_of(paths: Sequence[Floats], *, samples: float = 8.0) -> Coverage:
+    """Kelvins in which recordings, with temperatures (n,) [degC] each, have `samples` samples on average."""
+    every = np.concatenate(paths)
+    edges = np.arange(np.floor(every.min()), np.floor(every.max()) + 2.0)
+    return Coverage(edges, np.histogram(every, edges)[0] >= samples * len(paths))
+
+
 def _block_covariance(noise: NoiseModel, count: Floats, *, band: int = 12) -> Floats:
     """Covariance of the means of successive blocks, lower banded (band, n), for noise of one colour.
 
@@ -258,9 +272,16 @@ quick device, a slow parallel mode of some per cent changes the gain by as much.
 
 
 def refitted_constants(nominal: Nominal) -> tuple[Constant, ...]:
-    """Return the constants that are fitted anew where the effect may have been there in the calibration."""
+    """Return the constants that are fitted anew where the effect may have been there in the calibration.
+
+    Where no temperature is measured, ambient and gain are the scale that temperature is expressed in: with the loops fitted
+    anew as well they would only trade with them.
+    """
     found = []
+    scale = () if preset(nominal.device).measures_temperature else ("ambient", "linear_gain", "square_gain")
     for name, spread in REFITTED.items():
+        if name.partition(".")[2] in scale:
+            continue
         value = nominal.model.scalars[name]
         size = spread if name == "thermal.ambient" else abs(value) * spread
         if size > 0.0:
@@ -269,8 +290,46 @@ def refitted_constants(nominal: Nominal) -> tuple[Constant, ...]:
 
 
 def open_shapes(nominal: Nominal) -> dict[str, LoopShape]:
-    """Return loop shapes that nothing is known of but the prior, ten per cent of the model's."""
-    return loop_shapes(replace(nominal, digest=None))
+    """Return loop shapes that nothing is known of but the prior: ten per cent of the model's, and the number of domains."""
+    known = loop_shapes(nominal)
+    return {
+        channel: replace(shape, basis=known[channel].basis)
+        for channel, shape in loop_shapes(replace(nominal, digest=None)).items()
+    }
+
+
+LAW = (0.3, 1.0, 0.3, 0.5, 0.1)
+"""Standard deviation of what a fit of the nominal law may be off by where an effect was in its calibration: of the
+logarithm of a play's slope, its centre [K], the logarithms of its half width and weight, and a coefficient of the
+polynomial as a share of the range. A loop that took up a creep has plays of its own for that."""
+
+
+def law_columns(nominal: Nominal, channel: str, path: Floats) -> Floats:
+    """Change (n, l) of a channel by each parameter of its fitted law, each scaled to a unit normal.
+
+    None, l = 0, for a law that no fit wrote.
+
+    Parameters
+    ----------
+    nominal : fitted simulation
+    channel : resistance or deflection
+    path : (n,) temperature from a cold rest [degC]
+    """
+    bank = nominal.model.resistance if channel == RESISTANCE else nominal.model.deflection
+    try:
+        shape = BankShape.of_bank(bank)
+    except ValueError:
+        return np.zeros((path.size, 0))
+    plays = shape.centre.size
+    spread = np.concatenate(
+        [
+            np.repeat(LAW[:4], plays),
+            np.full(shape.polynomial.size, LAW[4] * nominal.span[channel]),
+        ]
+    )
+    # the law is that of -log10 R
+    sign = -1.0 if channel == RESISTANCE else 1.0
+    return np.asarray(sign * evaluate(shape, path)[1] * spread)
 
 
 def _calibrated(model: DeviceModel) -> list[Constant]:
@@ -289,11 +348,11 @@ def _calibrated(model: DeviceModel) -> list[Constant]:
     found = []
     for name, (floor, default) in floors.items():
         value = model.scalars[name]
-        if value == 0.0:
-            continue
         known = model.uncertainty.get(name)
-        relative = abs(known[0] / value) if known else default
-        found.append(Constant(name, ANOTHER_DAY[name][0], value, abs(value) * max(relative, floor)))
+        # a dead time of nothing is as uncertain as the fit says, too
+        spread = max(known[0] if known else abs(value) * default, abs(value) * floor)
+        if spread > 0.0:
+            found.append(Constant(name, ANOTHER_DAY[name][0], value, spread))
     name = "thermal.ambient"
     known = model.uncertainty.get(name)
     spread = max(known[0] if known else 0.0, 0.01)

@@ -34,6 +34,10 @@ EXCHANGES = 3
 """So often one of the two is tried anew beside the other."""
 NEARLY = 0.25
 """Excess, in what the best pair leaves, by which a pair may miss it and still be worth an exchange."""
+REFITS = 5
+"""So often, at most, the nominal device is linearised about what a refit made of it."""
+SETTLES = 2e-3
+"""Drop of chi-square, in noise powers, that ends these refits."""
 FREE = 20.0
 """Standard deviation with which the parameters of the other may move while partners are scored, in their steps."""
 
@@ -113,17 +117,26 @@ def refit_about(
     nominal: Nominal, problem: LinearisedProblem, best: Explanation, *, tick: Tick = lambda: None
 ) -> tuple[LinearisedProblem, Explanation]:
     """Build the problem about an explanation, with the same constants, and fit it once more there."""
-    final = linearise_problem(
-        nominal,
-        problem.parts,
-        # fitted with constants as the calibration left them, perhaps: those that drift come last
-        shift=np.pad(best.shift, (0, problem.origin.size - best.shift.size)),
-        constants=problem.constants,
-        effects=best.effects,
-        shapes=problem.shapes,
-        loops=problem.loops,
-    )
-    again = fit_jointly(final, best.hypotheses, best.values, iterations=6, tick=tick)
+    final, again = problem, best
+    for turn in range(1 + REFITS * problem.refits):
+        rest = final.residual - again.deviation
+        loops = final.loop_weights(final.fit_nuisance(rest)) if problem.refits else {}
+        about = linearise_problem(
+            nominal,
+            problem.parts,
+            # fitted with constants as the calibration left them, perhaps: those that drift come last
+            shift=np.pad(again.shift, (0, problem.origin.size - again.shift.size)),
+            constants=problem.constants,
+            effects=again.effects,
+            shapes=problem.shapes,
+            loops=final.loops,
+            loop_origin=loops,
+            refits=problem.refits,
+        )
+        fitted = fit_jointly(about, best.hypotheses, again.values, iterations=6, tick=tick)
+        if turn and fitted.chi_square > again.chi_square - SETTLES * about.count:
+            break
+        final, again = about, fitted
     return final, replace(again, gain=problem.residual_chi_square - again.chi_square)
 
 

@@ -22,7 +22,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from vo2_models.diagnosis.current_reading import between_samples
 from vo2_models.diagnosis.nominal import Nominal, Response
-from vo2_models.diagnosis.nuisance import Constant, LoopShape, constants_of, loop_shapes
+from vo2_models.diagnosis.nuisance import Constant, LoopShape, constants_of, law_columns, loop_shapes
 from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.part import Part
 from vo2_models.diagnosis.propagate_correction import through_structure
@@ -37,6 +37,8 @@ QUICKEST = 0.2
 """Least time constant that the nuisance model may ask for, as a share of the calibration's, which may hardly tell it."""
 STEP = 0.2
 """Step of a constant by which its column is taken, as a share of what the simulation is linear over."""
+MOST, MOST_REFITTED = 260, 420
+"""Directions of a loop's shape that are kept: where the calibration has fixed the loop, and where it is fitted anew."""
 STILL_K = 0.1
 """Move of a temperature path over which the loop columns are taken as unchanged [K]."""
 
@@ -66,6 +68,8 @@ class LinearisedProblem:
     nuisance : (N, k) whitened tangent of the nuisance model
     loops : channel -> the loop columns that were kept, and where they were taken
     loop_coupling : (N, t) what of the thermal columns is the loops' doing: the calibration has fixed them together with the lags
+    loop_origin : channel -> weights of its kept loop columns about which everything is linear; absent for none
+    refits : whether the nominal device is fitted anew, so that it is linearised about its refitted loops as well
     constants : of the thermal columns, which are the last; a unit of each is its `spread`
     included : effects that the nominal responses already have
     shapes : posterior of the loop shapes behind the nuisance model
@@ -84,6 +88,8 @@ class LinearisedProblem:
     shapes: Mapping[str, LoopShape] = field(default_factory=dict)
     loops: Mapping[str, LoopColumns] = field(default_factory=dict)
     loop_coupling: Floats = field(default_factory=lambda: np.zeros((1, 1)))
+    loop_origin: Mapping[str, Floats] = field(default_factory=dict)
+    refits: bool = False
 
     def __post_init__(self) -> None:
         gram = self.nuisance.gram()
@@ -120,6 +126,14 @@ class LinearisedProblem:
         """Largest part of a move (t,) of the constants, in units of what the simulation is linear over."""
         straight = np.array([c.straight for c in self.constants])
         return float(np.max(np.abs(move) / straight, initial=0.0))
+
+    def loop_weights(self, weights: Floats) -> dict[str, Floats]:
+        """Those of the nuisance model's weights (k,) that are of loop columns, by channel."""
+        found, start = {}, 0
+        for channel, columns in self.loops.items():
+            found[channel] = weights[start : start + columns.raw[0].shape[1]]
+            start += columns.raw[0].shape[1]
+        return found
 
     def column_of(self, name: str) -> int | None:
         """Which of the thermal columns is a constant's; None for none."""
@@ -215,6 +229,8 @@ def linearise_problem(
     effects: Effects | None = None,
     shapes: Mapping[str, LoopShape] | None = None,
     loops: Mapping[str, LoopColumns] | None = None,
+    loop_origin: Mapping[str, Floats] | None = None,
+    refits: bool = False,
     say: Callable[[str], None] = lambda text: None,
 ) -> LinearisedProblem:
     """Build the problem: loop shape from the calibration, simulation of every part, whitened nuisance model.
@@ -229,13 +245,29 @@ def linearise_problem(
     shapes : posterior of the loop shapes, where it is known already
     loops : columns of an earlier problem: their directions are kept, and they themselves where the
         temperatures have hardly moved
+    loop_origin : weights of these columns, by channel, to linearise about; the nuisance model pays for them as well
+    refits : whether the nominal device is fitted anew
     say : called with what is being done
     """
     shapes = loop_shapes(nominal) if shapes is None else shapes
     constants = tuple(constants_of(nominal) if constants is None else constants)
     origin = np.zeros(len(constants)) if shift is None else np.asarray(shift, dtype=np.float64)
     moved = {c.name: float(z) * c.spread for c, z in zip(constants, origin, strict=True) if not c.drifts}
-    corrected = replace(nominal, corrections={c: s.fold(moved) for c, s in shapes.items()})
+    # the columns of the law itself stay linear: it is not rewritten
+    about = {
+        c: np.where(np.arange(z.size) < loops[c].shared, z, 0.0)
+        for c, z in (loop_origin or {}).items()
+        if loops
+    }
+    corrected = replace(
+        nominal,
+        corrections={
+            c: s.moved(loops[c].directions @ about[c][: loops[c].shared]).fold(moved)
+            if loops and c in about
+            else s.fold(moved)
+            for c, s in shapes.items()
+        },
+    )
     values = _moved(constants, origin)
     say("simulating the recordings")
     responses = [
@@ -265,11 +297,12 @@ def linearise_problem(
         )
         residual[row.where] = noise.whiten(np.where(counts, measured - predicted, 0.0))
     residual *= weight
-    kept = _loop_columns(shapes, rows, responses, corrected, weight, loops or {})
+    kept = _loop_columns(shapes, rows, responses, corrected, weight, loops or {}, refits=refits)
     blocks = _whitened(kept, rows, parts, corrected, effects or {}, weight)
     partial = LinearisedProblem(
         corrected, origin, tuple(parts), tuple(rows), weight, tuple(responses), residual,
-        Tangent((), np.zeros((end, 0))), constants, dict(effects or {}), shapes, kept,
+        Tangent((), np.zeros((end, 0))), constants, dict(effects or {}), shapes, kept, loop_origin=about,
+        refits=refits,
     )  # fmt: skip
 
     thermal_columns = _constant_columns(partial)
@@ -278,6 +311,9 @@ def linearise_problem(
     # told from the model's own thermal parameters, so that the nuisance model pays for the origin too
     if origin.size:
         residual = residual + nuisance.thermal @ origin
+    for (where, block), channel in zip(blocks, kept, strict=True):
+        if channel in about:
+            residual[where] += block @ about[channel]
     return replace(
         partial,
         residual=residual,
@@ -351,14 +387,19 @@ class LoopColumns:
 
     Attributes
     ----------
-    directions : (m, k) weights of the basis that make them: what the data can tell, each a unit normal beforehand
+    directions : (m, k) weights of the basis that make the first k of them: what the data can tell, each a unit normal beforehand
     temperature : per recording, (n,) the path they were taken on [degC]
-    raw : per recording, (n, k) in the channel's unit
+    raw : per recording, (n, k) in the channel's unit; (n, k + l) with the l parameters of a law that is fitted anew
     """
 
     directions: Floats
     temperature: tuple[Floats, ...]
     raw: tuple[Floats, ...]
+
+    @property
+    def shared(self) -> int:
+        """Number k of columns that are of the basis."""
+        return self.directions.shape[1]
 
     def fits(self, paths: Sequence[Floats]) -> bool:
         """Whether the columns are as good on other paths: they change over kelvins."""
@@ -375,8 +416,11 @@ def _loop_columns(
     nominal: Nominal,
     weight: Floats,
     known: Mapping[str, LoopColumns],
+    *,
+    refits: bool,
 ) -> dict[str, LoopColumns]:
     """Columns of the loop shapes on these responses: few directions, each a unit normal beforehand."""
+    most = MOST_REFITTED if refits else MOST
     present = [channel for channel in shapes if any(row.channel == channel for row in rows)]
 
     def columns(channel: str) -> LoopColumns:
@@ -394,8 +438,14 @@ def _loop_columns(
                 _sampled_gram(_weighed(noise.whiten(f), weight[row.where]))
                 for f, row in zip(features, own, strict=True)
             )
-            directions = shape.spread(_main_directions(shape.whitened(np.asarray(gram))))
-        return LoopColumns(directions, paths, tuple(f @ directions for f in features))
+            directions = shape.spread(_main_directions(shape.whitened(np.asarray(gram)), most=most))
+        raw = tuple(f @ directions for f in features)
+        if refits:
+            raw = tuple(
+                np.hstack([columns, law_columns(nominal, channel, path)])
+                for columns, path in zip(raw, paths, strict=True)
+            )
+        return LoopColumns(directions, paths, raw)
 
     return dict(zip(present, parallel_map(columns, present), strict=True))
 
@@ -435,7 +485,7 @@ def _sampled_gram(block: Floats, sample: int = 6000) -> Floats:
     return np.asarray(some.T @ some * float(stride))
 
 
-def _main_directions(gram: Floats, *, negligible: float = 0.5, most: int = 260) -> Floats:
+def _main_directions(gram: Floats, *, most: int, negligible: float = 0.5) -> Floats:
     """Directions (m, k) of unit-normal weights that the data can tell from zero at all."""
     value, vector = np.linalg.eigh(gram)
     return np.asarray(vector[:, value > negligible][:, -most:])

@@ -63,7 +63,9 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
         next_experiment=decision.proposal,
         summary=_summary(study, effects, pairs),
         limits=[*limits_in_words(study.reading.findings), *_by_recording(study), *_mimics(study)],
-        not_excited=[] if decision.verdict == "agrees" else list(study.search.not_excited),
+        not_excited=list(study.search.not_excited)
+        if decision.verdict != "agrees" or study.reading.first_use
+        else [],
         excess=_excess(study),
         seconds=study.seconds,
         decision_limits=study.limits.with_provenance(),
@@ -334,7 +336,8 @@ def _by_recording(study: Study) -> list[str]:
     left = problem.apply_inverse_covariance(problem.residual)
     energy, count = np.zeros(len(problem.parts)), np.zeros(len(problem.parts))
     for row in problem.rows:
-        energy[row.part] += float(problem.residual[row.where] @ left[row.where])
+        rest = left[row.where]
+        energy[row.part] += float((rest if problem.refits else problem.residual[row.where]) @ rest)
         count[row.part] += float(np.count_nonzero(problem.weight[row.where]))
     excess = energy / np.maximum(count, 1.0) - 1.0
     told = ", ".join(f"{part.name} {value:.3g}" for part, value in zip(problem.parts, excess, strict=True))
@@ -358,6 +361,30 @@ def _refitted(study: Study) -> str:
     return ", the nominal device fitted to all recordings," if study.reading.first_use else ""
 
 
+def _taken_up(study: Study) -> str:
+    """Say which effects could have been there all along unseen, where that is asked."""
+    names = study.search.not_excited if study.reading.first_use else ()
+    if not names:
+        return ""
+    return f" The refitted device would take up {', '.join(names)}: whether they were there all along cannot be told."
+
+
+def _loops_in_words(study: Study) -> list[str]:
+    """How far the loops were fitted anew, channel by channel, where they were; in per cent of the channel's range."""
+    decision = study.decision
+    final = decision.final
+    if not final.refits:
+        return []
+    rest = final.residual - (decision.chosen.deviation if decision.chosen else 0.0)
+    weights = final.loop_weights(final.fit_nuisance(rest))
+    found = []
+    for channel, columns in final.loops.items():
+        change = np.concatenate([raw @ weights[channel] for raw in columns.raw])
+        share = float(np.sqrt(np.mean(change**2))) / study.located.nominal.span[channel]
+        found.append(f"the loop of {channel} by {100 * share:.2g} % of its range (r.m.s.)")
+    return found
+
+
 def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -> str:
     """The answer in two or three sentences."""
     decision, excess = study.decision, study.located.excess
@@ -365,7 +392,7 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     if decision.verdict == "agrees":
         return (
             f"Simulation and recording agree{_of_what(study)}{_refitted(study)}: the residual exceeds the noise by "
-            f"{power:.0f} % of its power, no more than an unchanged device shows."
+            f"{power:.0f} % of its power, no more than an unchanged device shows.{_taken_up(study)}"
         )
     moved = _moved_in_words(_moved(study))
     if decision.verdict == "drifted":
@@ -379,6 +406,7 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
         if study.reading.first_use
         else "Constants have moved besides"
     )
+    moved = ", ".join(text for text in (moved, *_loops_in_words(study)) if text)
     tail = f" {lead}: {moved}." if moved else ""
     names = [e.id + (f" on {e.signal}" if e.signal else "") for e in effects if e.id != "unknown"]
     if not names:

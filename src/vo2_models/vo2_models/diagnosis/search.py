@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vo2_models.diagnosis.absorbed import without_absorbed
 from vo2_models.diagnosis.drift import drift_of
 from vo2_models.diagnosis.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
 from vo2_models.diagnosis.hypotheses import Hypothesis, hypotheses
@@ -65,6 +66,8 @@ def search(
     """
     problem = located.problem
     candidates = hypotheses(problem, located.nominal.device, located.remaining)
+    if first_use:
+        candidates = [without_absorbed(problem, hypothesis) for hypothesis in candidates]
     clock.expected = 2 * sum(len(h.starts) for h in candidates) + 40 * SHORTLIST + 200
     clock.say(f"trying {len(candidates)} effects")
     shortlist = 2 * SHORTLIST if one_loop else SHORTLIST

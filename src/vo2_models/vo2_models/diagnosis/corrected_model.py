@@ -1,0 +1,163 @@
+"""The corrected model: named effects, moved constants, refitted loops, and terms that stand for what has no name.
+
+What has no name is still something that the device model must carry, so that plant, predict and estimator run it. It is
+written as those effects of the catalogue that come nearest to it. They describe; they are not what the device has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.diagnosis.drift import drift_of
+from vo2_models.diagnosis.held_out import HeldOut, block_folds, held_out
+from vo2_models.diagnosis.nominal import THERMAL
+from vo2_models.diagnosis.pairs import Option, option_of, pair_of
+from vo2_models.diagnosis.problem import LinearisedProblem
+from vo2_models.diagnosis.stages import Study
+from vo2_models.hysteresis.play_bank import PlayBank
+from vo2_models.identification.bank_fit import BankShape, evaluate, fit_bank
+from vo2_models.identification.loops_fit import COLD
+from vo2_models.parameters import Value
+from vo2_models.recording import RESISTANCE
+
+__all__ = ["StandIn", "corrected_parameters", "stand_in"]
+
+Floats = NDArray[np.float64]
+WORTH = 0.05
+"""Least share of the excess that terms must remove on held-out blocks to be written down."""
+PROMISING = 3
+"""Single effects that are tried as a description."""
+
+
+@dataclass(frozen=True)
+class StandIn:
+    """Terms of the catalogue that stand for what has no name.
+
+    Attributes
+    ----------
+    option : the terms, and the problem about them
+    judged : how they do on blocks that they were not fitted on
+    """
+
+    option: Option
+    judged: HeldOut
+
+    def in_words(self) -> str:
+        """One sentence for a reader of the answer."""
+        names = " and ".join(self.option.chosen.keys)
+        return (
+            f"corrected_model.yaml carries what has no name by the terms that come nearest, {names}: on blocks that they "
+            f"were not fitted on they remove {100 * self.judged.share:.0f} % of the excess; they describe, and name nothing"
+        )
+
+
+def stand_in(study: Study) -> StandIn | None:
+    """Return the terms that come nearest to what has no name; None where everything has one, or no term is near.
+
+    One or two effects, by held-out blocks: what the search has refitted, and a second beside the best that need not be one
+    which could be named.
+    """
+    located, found = study.located, study.search
+    if study.decision.verdict != "differs" or study.decision.chosen is not None or not found.singles:
+        return None
+    problem = located.problem
+    options = list(found.options)
+    if not options:
+        options = [
+            option_of(located.nominal, problem, single, found.singles) for single in found.singles[:PROMISING]
+        ]
+    alone = min((o for o in options if len(o.chosen.keys) == 1), key=_left, default=None)
+    if alone is not None and all(len(o.chosen.keys) == 1 for o in options):
+        anything = replace(study.limits, second=0.1, second_of_all=0.0, second_cosine=1.0)
+        pair = pair_of(located.nominal, problem, alone, found.candidates, anything)
+        options += [pair] if pair else []
+    folds = block_folds(problem)
+    tried = [
+        StandIn(option, held_out(option.final, option.chosen, reference=problem, folds=folds))
+        for option in sorted(options, key=_left)[:2]
+    ]
+    best = max(tried, key=lambda one: one.judged.share)
+    return best if best.judged.share > WORTH else None
+
+
+def corrected_parameters(study: Study, unnamed: StandIn | None = None) -> dict[str, Value]:
+    """Return the model's parameters with effects and moved constants (none of them, and it is the model itself).
+
+    Parameters
+    ----------
+    study : what was found
+    unnamed : what stands for an excess without a name
+    """
+    flat, decision = dict(study.located.nominal.parameters), study.decision
+    if decision.verdict == "agrees":
+        return flat
+    final, chosen = decision.final, decision.chosen
+    if unnamed is not None:
+        final, chosen = unnamed.option.final, unnamed.option.chosen
+    model = study.located.nominal.model
+    rest = final.residual - chosen.deviation if chosen else final.residual
+    values = final.moved(drift_of(final, rest).weights)
+    laws = {"resistance": model.resistance, "deflection": model.deflection}
+    if final.refits:
+        laws |= _refitted(final, rest, laws)
+        # what the calibration left over was left over by the loops as they were
+        flat = {name: value for name, value in flat.items() if not name.startswith("model.enrichment.")}
+    zero, gain = values.get("deflection.zero", 0.0), values.get("deflection.gain", 1.0)
+    model = replace(
+        model,
+        effects={**model.effects, **(chosen.effects if chosen else {})},
+        scalars={**model.scalars, **{name: values[name] for name in THERMAL if name in values}},
+        deflection=_scaled(laws["deflection"], gain, zero),
+        # the law is that of -log10 R
+        resistance=_scaled(laws["resistance"], 1.0, -float(np.log10(values.get("resistance.gain", 1.0)))),
+    )
+    return flat | model.to_parameters()
+
+
+def _left(option: Option) -> float:
+    """Chi-square that an option leaves."""
+    return option.chosen.chi_square
+
+
+def _refitted(final: LinearisedProblem, rest: Floats, laws: Mapping[str, PlayBank]) -> dict[str, PlayBank]:
+    """The loops that were fitted along with an effect, as laws of a model file.
+
+    What the nuisance model made of them is a law plus a correction on known paths of temperature; a law is fitted to both.
+    """
+    weights = final.loop_weights(final.fit_nuisance(rest))
+    found = {}
+    for channel, columns in final.loops.items():
+        section, sign = ("resistance", -1.0) if channel == RESISTANCE else ("deflection", 1.0)
+        try:
+            start = BankShape.of_bank(laws[section])
+        except ValueError:  # no law that a fit wrote: it stays
+            continue
+        path = np.concatenate([_cold(part) for part in columns.temperature])
+        target = np.concatenate(
+            [
+                np.concatenate(
+                    [[np.nan], evaluate(start, _cold(part))[0][1:] + sign * (raw @ weights[channel])]
+                )
+                for part, raw in zip(columns.temperature, columns.raw, strict=True)
+            ]
+        )
+        found[section] = fit_bank(path, target, start, iterations=30).shape.bank()
+    return found
+
+
+def _cold(path: Floats) -> Floats:
+    """A path of temperature (n,) [degC] with a cold sample before, which brings every play to its cold end."""
+    return np.concatenate([[COLD], path])
+
+
+def _scaled(bank: PlayBank, gain: float, zero: float) -> PlayBank:
+    """The law gain y + zero, zero in the output's unit."""
+    if not bank.present:
+        return bank
+    polynomial = gain * np.asarray(bank.polynomial)
+    polynomial[0] += zero
+    return replace(bank, weights=gain * np.asarray(bank.weights), polynomial=polynomial)
