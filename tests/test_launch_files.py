@@ -21,6 +21,8 @@ from vo2_plant_sim.plant_node import PLANT_PARAMETERS
 from vo2_plant_sim.simulated_device import SIMULATED_DEVICE_PARAMETERS
 
 SOURCES = Path(__file__).resolve().parents[1] / "src"
+FOREIGN = {"robot_state_publisher": {"robot_state_publisher"}}
+"""Package of ROS 2 -> its executables."""
 LAUNCH_FILES = sorted(SOURCES.glob("*/launch/*.launch.py"))
 DECLARED = {
     "plant": (*PLANT_PARAMETERS, *SIMULATED_DEVICE_PARAMETERS),
@@ -44,6 +46,8 @@ def texts(path):
 
 def executables(package):
     """Names that a package installs as executables."""
+    if package in FOREIGN:
+        return FOREIGN[package]
     return set(re.findall(r'"(\w+) = [\w.]+:main"', (SOURCES / package / "setup.py").read_text()))
 
 

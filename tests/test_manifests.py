@@ -20,6 +20,7 @@ KEYS = {
     "pytest": "python3-pytest",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
+    "tqdm": "python3-tqdm",
     "yaml": "python3-yaml",
 }
 """Module -> key of rosdistro's python.yaml; a ROS package has its own name."""
@@ -29,6 +30,7 @@ WITH_ANOTHER = {
     "cycler": "matplotlib",
     "backports": "rosbags",
     "compression": "rosbags",
+    "llvmlite": "numba",
     "slycot": "control",
 }
 """Module -> the one whose installation brings it."""

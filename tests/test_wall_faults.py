@@ -3,8 +3,8 @@
 import random
 import signal
 
-import numpy as np
 import pytest
+from vo2_identification.bags import BagError, read_bag
 from wall_loop import NODES, wall_loop
 
 UM = 1e-6
@@ -32,29 +32,60 @@ def test_a_stall_of_any_node_ends_without_an_excursion(model_file, tmp_path):
             assert tip.max() < allowed, f"{name}: {tip.max() / UM:.1f} um"
 
 
-@pytest.mark.parametrize("kills", [10, pytest.param(200, marks=pytest.mark.slow)])
-def test_killing_any_one_process_leaves_the_device_safe_and_it_rejoins(kills, model_file, tmp_path, capfd):
-    rng = random.Random(kills)
-    held, highest = [], []
+def last_of(bag):
+    """Stamp of the last measurement in a bag [s]."""
+    recordings, _ = read_bag(bag)
+    return recordings["measurement"].time_s[-1]
+
+
+@pytest.mark.parametrize("chunk", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 11))])
+def test_killing_any_one_process_leaves_the_device_safe_and_it_rejoins(chunk, model_file, tmp_path, capfd):
+    """The short form kills 8 times; the ten slow ones together 200 times."""
+    rng, kills = random.Random(chunk), 20 if chunk else 8
+    held, highest, lost, silent = [], [], [], []
     with wall_loop(tmp_path, model_file) as loop:
         allowed = loop.tip().max() + _EXCURSION
-        for _ in range(kills):
-            name = rng.choice(NODES)
+        bags = [tmp_path / "bag_0"]
+        loop.record(bags[0])
+        loop.rig.until(lambda: readable(bags[0]))
+        for number in range(kills):
+            name = rng.choice((*NODES, "record"))
             loop.rig.spin(rng.uniform(0.0, 0.05))
-            since = loop.samples
+            since, commands = loop.samples, loop.commands
             loop.signal(name, signal.SIGKILL)
-            loop.rig.spin(0.3)
-            if name != "plant":
-                held.append(flowing(loop, since))
-                assert held[-1] <= _HELD, f"{name}: current flowed for {held[-1]} samples more"
-            others = [each for each in NODES if each != name]
+            newest = loop.rig.heard["/vo2/measurement"][-1][0] * 1e-9
+            loop.rig.spin(0.5)
+            others = [each for each in (*NODES, "record") if each != name]
             assert all(loop.processes[each].process.poll() is None for each in others)
-            loop.start(name)
+            if name == "record":
+                lost.append(newest - last_of(bags[-1]))
+                assert lost[-1] < 1.0, f"the bag ends {lost[-1]:.2f} s before the kill"
+                bags.append(tmp_path / f"bag_{number + 1}")
+                loop.record(bags[-1])
+            else:
+                if name != "plant":
+                    held.append(flowing(loop, since))
+                    assert held[-1] <= _HELD, f"{name}: current flowed for {held[-1]} samples more"
+                if name in ("estimator", "reference"):
+                    silent.append(loop.silence(commands))
+                loop.start(name)
             loop.until_closed(loop.samples)
+            if name == "record":
+                loop.rig.until(lambda: readable(bags[-1]), 60.0)
             highest.append(loop.tip(since).max())
             assert highest[-1] < allowed, f"{name}: the tip rose to {highest[-1] / UM:.1f} um"
     with capfd.disabled():
         print(
-            f"\n{kills} kills: safe current after at most {max(held)} samples (median {np.median(held):g}), "
-            f"{kills} of {kills} rejoined, tip at most {max(highest) / UM:.1f} um at a set-point of 30"
+            f"\n{kills} kills: safe current after at most {max(held, default=0)} samples (of {len(held)}), the controller "
+            f"silent for at most {max(silent, default=0):.1f} periods (of {len(silent)}), a bag ends at most "
+            f"{max(lost, default=0):.2f} s before the kill (of {len(lost)}), {kills} of {kills} rejoined, tip at most "
+            f"{max(highest) / UM:.1f} um at a set-point of 30"
         )
+
+
+def readable(bag):
+    """Whether a bag has a measurement by now."""
+    try:
+        return "measurement" in read_bag(bag)[0]
+    except BagError:
+        return False

@@ -57,6 +57,10 @@ class WallLoop:
             name, name=label, parameters=own[name], parameter_file=file
         )
 
+    def record(self, bag: Path) -> None:
+        """Start a recorder, or start it again; it counts as a node of the loop."""
+        self.processes["record"] = self._graph.start("record", arguments=["--output", str(bag)])
+
     def signal(self, name: str, number: int) -> None:
         """Send a signal to one node, and wait for its end where it ends it."""
         process = self.processes[name].process
@@ -85,6 +89,16 @@ class WallLoop:
     def tip(self, since: int = 0) -> NDArray[np.float64]:
         """True deflections [m] of the measurements from number `since` on."""
         return np.array([values[0] for _, values in self.rig.heard["/vo2/measurement"][since:]])
+
+    def silence(self, since: int = 0) -> float:
+        """Return the longest time without a command, in periods, by the stamps of commands from number `since` on."""
+        stamps = [stamp for stamp, _ in self.rig.heard["/vo2/command"][since:]]
+        return max(np.diff(stamps), default=0) * 1e-9 * RATE_HZ
+
+    @property
+    def commands(self) -> int:
+        """Number of commands heard."""
+        return len(self.rig.heard["/vo2/command"])
 
     @property
     def samples(self) -> int:

@@ -17,6 +17,8 @@ setup(
         (f"share/{NAME}", ["package.xml", "CHANGELOG.rst", "LICENSE"]),
         (f"share/{NAME}/launch", glob("launch/*.launch.py")),
         (f"share/{NAME}/config", glob("config/*.yaml")),
+        (f"share/{NAME}/layouts", glob("layouts/*")),
+        (f"share/{NAME}/urdf", glob("urdf/*.urdf")),
     ],
     install_requires=["setuptools"],
     zip_safe=False,
@@ -26,5 +28,11 @@ setup(
     license=PACKAGE.findtext("license"),
     # newer setuptools drops tests_require, and colcon would then silently run no test
     extras_require={"test": ["pytest"]},
-    entry_points={"console_scripts": ["live = vo2_interface.live.node:main"]},
+    entry_points={
+        "console_scripts": [
+            "live = vo2_interface.live.node:main",
+            "beam = vo2_interface.beam:main",
+            "supervise = vo2_interface.supervise:main",
+        ]
+    },
 )

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from vo2_models.command_line import refuse
+
 __all__ = ["main"]
 
 _DESCRIPTION = """
@@ -41,8 +43,7 @@ def main(args: Sequence[str] | None = None) -> int:
         ]
         save_model_parameters(options.output, found, comment="\n".join(["compressed", *lines]))
     except ValueError as error:
-        print(f"compress: {error}", file=sys.stderr)
-        return 2
+        return refuse("compress", error)
     except OSError as error:
         print(
             f"compress: {options.output}: cannot be written ({error.strerror or error}); name another",

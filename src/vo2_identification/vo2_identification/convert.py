@@ -14,6 +14,8 @@ from vo2_models.recording import Recording
 if TYPE_CHECKING:
     from vo2_identification.conversion.column_map import ColumnMap
 
+from vo2_models.command_line import refuse
+
 __all__ = ["main", "shipped_maps"]
 
 _DESCRIPTION = """
@@ -36,7 +38,7 @@ def main(args: Sequence[str] | None = None) -> int:
             print(f"{name}: {path}")
         return 0
     if not (options.map and options.input and options.output):
-        return _refuse("--map, --input and --output are needed; see --help")
+        return refuse("convert", "--map, --input and --output are needed; see --help")
     try:
         return _convert(options)
     except KeyboardInterrupt:
@@ -56,7 +58,7 @@ def _convert(options: argparse.Namespace) -> int:
         if options.output.exists() and not several:
             raise BagError(f"{options.output}: exists already, need the name of a new bag")
     except (BagError, MapError) as error:
-        return _refuse(str(error))
+        return refuse("convert", error)
     refused = 0
     for file in files:
         # one bad file of a folder must not cost the others
@@ -64,14 +66,15 @@ def _convert(options: argparse.Namespace) -> int:
             _convert_file(file, column_map, options, several=several)
         except (BagError, MapError) as error:
             refused += 1
-            _refuse(str(error))
+            refuse("convert", error)
         except OSError as error:
             place = error.filename or options.output
-            return _refuse(
-                f"{place}: cannot be written ({error.strerror or error}); free some space or name another"
+            return refuse(
+                "convert",
+                f"{place}: cannot be written ({error.strerror or error}); free some space or name another",
             )
     if refused and len(files) > 1:
-        _refuse(f"{refused} of {len(files)} files were not converted")
+        refuse("convert", f"{refused} of {len(files)} files were not converted")
     return 2 if refused else 0
 
 
@@ -133,11 +136,6 @@ def _line(recording: Recording, path: Path, units: Mapping[str, str]) -> str:
     )
     span = recording.time_s[-1] - recording.time_s[0]
     return f"{len(recording)} samples over {span:.6g} s ({ranges}). The bag: {path}"
-
-
-def _refuse(text: str) -> int:
-    print(f"convert: {text}", file=sys.stderr)
-    return 2
 
 
 def _parser() -> argparse.ArgumentParser:

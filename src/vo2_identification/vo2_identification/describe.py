@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from vo2_models.device.description_file import Document
     from vo2_models.recording import Recording
 
+from vo2_models.command_line import refuse
+
 __all__ = ["drafted", "main"]
 
 _DESCRIPTION = """
@@ -59,8 +61,7 @@ def main(args: Sequence[str] | None = None) -> int:
             options.output.write_text(text, encoding="utf-8")
             print(f"wrote {options.output}")
     except (ValueError, OSError) as error:
-        print(f"describe: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+        return refuse("describe", error)
     return 0
 
 

@@ -5,15 +5,17 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vo2_models.io import InputError, check_place, check_regular, one_line
+from vo2_models.io import InputError, check_place, check_regular
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
 
 if TYPE_CHECKING:
     from vo2_models.identification.device_fit import FitResult
+
+from vo2_models.command_line import Progress, refuse
 
 __all__ = ["MARK", "main", "of_device"]
 
@@ -58,6 +60,7 @@ def _run(options: argparse.Namespace) -> int:
     from vo2_identification.bags.problems import in_few_lines
 
     begun = time.monotonic()
+    progress = Progress("fit", quiet=options.quiet)
     try:
         device = preset(options.device)
         _check_place(options.output)
@@ -72,15 +75,16 @@ def _run(options: argparse.Namespace) -> int:
             recordings,
             options.device,
             plays=options.plays,
-            progress=_quiet if options.quiet else _progress(begun),
+            progress=lambda text, share: progress(share, text),
             names=names,
             self_sensing=not options.simulation_only,
         )
+        progress.clear()
         save_model_parameters(options.output, parameters, comment=f"{MARK} to {', '.join(names)}")
     except ValueError as error:
-        return _refuse(one_line(error))
+        return refuse("fit", error)
     except OSError as error:
-        return _refuse(f"{options.output}: cannot be written ({error.strerror or error})")
+        return refuse("fit", f"{options.output}: cannot be written ({error.strerror or error})")
     for line in _summary(result):
         print(line)
     print(f"wrote {options.output} in {time.monotonic() - begun:.1f} s")
@@ -93,24 +97,11 @@ def _run_folder(options: argparse.Namespace) -> int:
     try:
         return fit_folder(options)
     except ValueError as error:
-        return _refuse(one_line(error))
+        return refuse("fit", error)
     except OSError as error:
-        return _refuse(f"{error.filename or options.output}: cannot be written ({error.strerror or error})")
-
-
-def _quiet(text: str, share: float) -> None:
-    """Say nothing."""
-
-
-def _progress(began: float) -> Callable[[str, float], None]:
-    """Return what prints the progress of a fit that began then, with the time that is left."""
-
-    def say(text: str, share: float) -> None:
-        took = time.monotonic() - began
-        rest = f", about {took * (1 - share) / share:.0f} s left" if share > 0.05 else ""
-        print(f"fit: {100 * share:3.0f} %  {text}{rest}", file=sys.stderr)
-
-    return say
+        return refuse(
+            "fit", f"{error.filename or options.output}: cannot be written ({error.strerror or error})"
+        )
 
 
 def of_device(recording: Recording, device: str, bag: Path) -> Recording:
@@ -170,11 +161,6 @@ def _summary(result: FitResult) -> list[str]:
         if std:
             lines.append(f"{name}: {result.model.scalars[name]:.5g} +- {std[0]:.2g} {unit}")
     return lines + [f"note: {note}" for note in result.notes]
-
-
-def _refuse(message: str) -> int:
-    print(f"fit: {message}", file=sys.stderr)
-    return 2
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from vo2_models.device.model import DeviceModel
     from vo2_models.prediction import Prediction
 
+from vo2_models.command_line import refuse
+
 __all__ = ["RESULTS", "main", "predicted_recording", "prediction_page"]
 
 _DESCRIPTION = """
@@ -39,8 +41,7 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         return _run(options)
     except (ValueError, OSError) as error:
-        print(f"predict: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+        return refuse("predict", error)
     except KeyboardInterrupt:
         print("predict: interrupted", file=sys.stderr)
         return 130

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from vo2_identification.bags import BagWriter
     from vo2_identification.recorder_node import Recorder
 
+from vo2_models.command_line import Progress, refuse
+
 __all__ = ["main"]
 
 _DESCRIPTION = """
@@ -40,17 +42,17 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     options, ros_args = _parser().parse_known_args(args)
     if "--ros-args" not in ros_args and ros_args:
-        return _refuse(f"{ros_args[0]}: no such option; see --help")
+        return refuse("record", f"{ros_args[0]}: no such option; see --help")
     for name in ("duration", "messages", "max_bag_size", "max_bag_duration"):
         value = getattr(options, name)
         if value is not None and value <= 0:
-            return _refuse(f"--{name.replace('_', '-')}: found {value:g}, need a number above 0")
+            return refuse("record", f"--{name.replace('_', '-')}: found {value:g}, need a number above 0")
     if sum(map(bool, (options.topics, options.all, options.regex))) > 1:
-        return _refuse("found several of --topics, --all, --regex; need one of them")
+        return refuse("record", "found several of --topics, --all, --regex; need one of them")
     try:
         re.compile(options.regex or "")
     except re.error as error:
-        return _refuse(f"--regex: found {options.regex!r}, need a regular expression ({error})")
+        return refuse("record", f"--regex: found {options.regex!r}, need a regular expression ({error})")
     # rclpy and rosbags take a second to load: --help and bad options do not wait for them
     from vo2_identification.bags import BagError, BagWriter
 
@@ -63,7 +65,7 @@ def main(args: Sequence[str] | None = None) -> int:
             split_s=options.max_bag_duration,
         )
     except BagError as error:
-        return _refuse(str(error))
+        return refuse("record", error)
     status = 2
     try:
         status = _record(bag, options, ros_args)
@@ -96,22 +98,22 @@ def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) ->
         what = ", ".join(recorder.topics) or "what appears on the graph"
         print(f"Recording {what} into {bag.path}; Ctrl-C ends it.", flush=True)
         gc.freeze()  # what is loaded by now never goes: without it every collection stalls the loop
-        _take_all(recorder, options, stop)
+        with Progress("record", lines=False) as progress:
+            _take_all(recorder, options, stop, progress)
         recorder.finish()
         failure = recorder.failure
         try:
             bag.close()
         except OSError as error:
             failure = failure or error
-        _show_progress("")
         return _summary(recorder, options.lost_limit, failure)
     except (ValueError, RuntimeError) as error:  # rclpy raises bare RuntimeErrors of its C layer
-        return _refuse(" ".join(str(error).split()))
+        return refuse("record", error)
     finally:
         leave_graph(None, [] if recorder is None else [recorder])
 
 
-def _take_all(recorder: Recorder, options: argparse.Namespace, stop: StopFlag) -> None:
+def _take_all(recorder: Recorder, options: argparse.Namespace, stop: StopFlag, progress: Progress) -> None:
     period = recorder.bag.flush_period_s
     started = shown = time.monotonic()
     count_shown = lost_told = 0
@@ -127,11 +129,11 @@ def _take_all(recorder: Recorder, options: argparse.Namespace, stop: StopFlag) -
         if now - shown >= period:
             recorder.idle()
             rate = (recorder.count - count_shown) / (now - shown)
-            _show_progress(f"{recorder.count} messages in {now - started:.0f} s, {rate:.0f} per second now")
+            progress(None, f"{recorder.count} messages in {now - started:.0f} s, {rate:.0f} per second now")
             shown, count_shown = now, recorder.count
             if recorder.lost >= 2 * lost_told and recorder.lost:
                 lost_told = recorder.lost
-                _show_progress("")
+                progress.clear()
                 print(f"record: {lost_told} messages did not arrive so far", file=sys.stderr, flush=True)
     # what was published before the stop belongs into the bag, however long the queue has become
     stopped_ns, heard = time.time_ns(), time.monotonic()
@@ -182,16 +184,6 @@ def _summary(recorder: Recorder, lost_limit: int, failure: OSError | None) -> in
         )
         return 1
     return 0
-
-
-def _show_progress(text: str) -> None:
-    if sys.stderr.isatty():
-        print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
-
-
-def _refuse(text: str) -> int:
-    print(f"record: {text}", file=sys.stderr)
-    return 2
 
 
 def _parser() -> argparse.ArgumentParser:

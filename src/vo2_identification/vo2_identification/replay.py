@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from vo2_identification.bags.playback import Outline
     from vo2_identification.replay_control import ReplayControl
 
+from vo2_models.command_line import Progress, refuse
+
 __all__ = ["main"]
 
 _DESCRIPTION = """
@@ -43,14 +45,16 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     options, ros_args = _parser().parse_known_args(args)
     if "--ros-args" not in ros_args and ros_args:
-        return _refuse(f"{ros_args[0]}: no such option; see --help")
+        return refuse("replay", f"{ros_args[0]}: no such option; see --help")
     for name, low in (("rate", 0.0), ("clock", 0.0), ("duration", 0.0), ("loop", 0.0)):
         value = getattr(options, name)
         if value is not None and not low < value < math.inf and not (name == "loop" and value == -1):
-            return _refuse(f"--{name}: found {value:g}, need a number above 0")
+            return refuse("replay", f"--{name}: found {value:g}, need a number above 0")
     for name in ("offset", "wait"):
         if not getattr(options, name) >= 0:
-            return _refuse(f"--{name}: found {getattr(options, name):g}, need a number of at least 0")
+            return refuse(
+                "replay", f"--{name}: found {getattr(options, name):g}, need a number of at least 0"
+            )
     from vo2_identification.bags.playback import outline
     from vo2_identification.bags.problems import BagError
 
@@ -60,7 +64,7 @@ def main(args: Sequence[str] | None = None) -> int:
         if options.offset > length:
             raise BagError(f"--offset: found {options.offset:g} s, but the bag is {length:.6g} s long")
     except BagError as error:
-        return _refuse(str(error))
+        return refuse("replay", error)
     for problem in bag.problems[:10]:
         print(f"replay: {problem}", file=sys.stderr)
     if options.clock and bag.channels.pop("/clock", None):
@@ -79,7 +83,7 @@ def _replay(bag: Outline, options: argparse.Namespace, ros_args: list[str]) -> i
         node = rclpy.create_node("replay")
         return _publish_all(node, bag, options, lambda: stop.is_set)
     except (ValueError, RuntimeError) as error:  # rclpy raises bare RuntimeErrors of its C layer
-        return _refuse(" ".join(str(error).split()))
+        return refuse("replay", error)
     finally:
         leave_graph(None, [] if node is None else [node])
 
@@ -101,7 +105,7 @@ def _publish_all(node: Node, bag: Outline, options: argparse.Namespace, stopped:
         if is_latched:
             latched.append(topic)
     if not publishers:
-        return _refuse(f"{options.bag}: no topic left to play")
+        return refuse("replay", f"{options.bag}: no topic left to play")
     tell_time = _clock_publisher(node, options.clock) if options.clock else None
     silent = _wait_for_subscribers(publishers, options.wait, stopped)
     if silent:
@@ -122,6 +126,7 @@ def _publish_all(node: Node, bag: Outline, options: argparse.Namespace, stopped:
         latched=latched,
     )
     count, slipped, last = 0, 0.0, bag.first_ns
+    progress = Progress("replay", lines=False)
     with ReplayControl(node, paused=options.start_paused) as control:
         if control.keys:
             print(f"Keys: {KEYS}.", flush=True)
@@ -151,12 +156,12 @@ def _publish_all(node: Node, bag: Outline, options: argparse.Namespace, stopped:
             publishers[due.topic].publish(due.data)
             count, last = count + 1, due.time_ns
             if (now := time.monotonic()) - shown > 1.0:
-                _show_progress(f"{count} messages, {(last - bag.first_ns) / _NS:.1f} s into the bag")
+                progress(None, f"{count} messages, {(last - bag.first_ns) / _NS:.1f} s into the bag")
                 shown = now
     took = time.monotonic() - began
     if not stopped():
         _wait_for_readers(publishers, stopped)  # the last messages are still on their way
-    _show_progress("")
+    progress.clear()
     slow = (
         f" ({slipped:.2f} s longer than planned: this machine could not keep up)" if slipped > _SLIP_S else ""
     )
@@ -271,16 +276,6 @@ def _message_class(msgtype: str) -> Any | None:
         return getattr(import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError):
         return None
-
-
-def _show_progress(text: str) -> None:
-    if sys.stderr.isatty():
-        print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
-
-
-def _refuse(text: str) -> int:
-    print(f"replay: {text}", file=sys.stderr)
-    return 2
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -71,6 +71,7 @@ def test_the_skeleton_is_not_written_over_anything(tmp_path, capsys):
             ("return -share, share * late", "return -share, share * lat"),
             "hook body: cannot be compiled (NameError: name 'lat' is not defined)",
         ),
+        (("parameters=(", "parameters=(None,"), "EFFECT: found a value of another type than Effect says"),
         (("import math", "import math; raise SystemExit(0)"), "cannot be imported (SystemExit"),
     ],
 )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import multiprocessing
 import os
 import shutil
@@ -20,6 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
+from vo2_models.command_line import Progress
 from vo2_models.io import InputError, one_line, read_bytes, write_whole
 
 from vo2_identification.batch.work import Outcome, Row, Task, work
@@ -98,7 +98,8 @@ def run_batch(
     """
     rows, waiting = _finished(tasks, output)
     kept, failed = len(rows), {}
-    with _Progress(len(tasks), kept, quiet=quiet) as progress, _interruptible():
+    told = _Told(len(tasks), kept, quiet=quiet)
+    with told.progress, _interruptible():
         try:
             with _Dask(dask) if dask else _Local(jobs) as workers:
                 for task, found in _outcomes(workers, waiting):
@@ -107,7 +108,7 @@ def run_batch(
                         rows[task.name] = found.row
                     else:
                         failed[task.name] = found
-                    progress.tell(len(rows), len(failed))
+                    told.tell(len(rows), len(failed))
         except KeyboardInterrupt:
             return Batch(rows, kept, failed, interrupted=True)
     return Batch(rows, kept, failed, interrupted=False)
@@ -313,46 +314,20 @@ def _interruptible() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-class _Progress:
-    """How far the batch is and how long it will take: one line on a terminal, else a line from time to time."""
+class _Told:
+    """How far the batch is; the bags of earlier calls are no news."""
 
     def __init__(self, total: int, kept: int, *, quiet: bool) -> None:
-        self.total, self.kept, self.quiet = total, kept, quiet
-        self.terminal = sys.stderr.isatty()
+        self.total, self.kept = total, kept
         self.began = time.monotonic()
-        self.said = -math.inf
-        self.width = 0
-
-    def __enter__(self) -> Self:
-        if not self.quiet and self.kept:
-            print(f"{self.kept} of {self.total} bags were finished before", file=sys.stderr, flush=True)
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        if self.width:
-            print("\r" + " " * self.width + "\r", end="", file=sys.stderr, flush=True)
+        self.progress = Progress("batch", quiet=quiet, every_s=_SAY_S)
+        if kept and not quiet:
+            print(f"{kept} of {total} bags were finished before", file=sys.stderr, flush=True)
 
     def tell(self, finished: int, failed: int) -> None:
-        """Show that so many bags are finished by now, of which the earlier calls' are no news."""
-        now = time.monotonic()
-        if self.quiet or (not self.terminal and now - self.said < _SAY_S and finished < self.total):
-            return
-        self.said = now
-        rate = (finished - self.kept) / max(now - self.began, 1e-9)
-        left = self.total - finished - failed
-        line = f"{finished} of {self.total} bags, {rate:.3g} per s"
-        if left and rate > 0.0:
-            line += f", about {_duration(left / rate)} left"
-        if failed:
-            line += f", {failed} broke down"
-        if self.terminal:
-            print("\r" + line.ljust(self.width), end="", file=sys.stderr, flush=True)
-            self.width = max(self.width, len(line))
-        else:
-            print(line, file=sys.stderr, flush=True)
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400.0 else f"{seconds / 3600:.1f} h"
+        """Show that so many bags are finished by now."""
+        new = finished - self.kept
+        rate = new / max(time.monotonic() - self.began, 1e-9)
+        text = f"{finished} of {self.total} bags, {rate:.3g} per s"
+        text += f", {failed} broke down" if failed else ""
+        self.progress((new + failed) / (self.total - self.kept), text)

@@ -9,9 +9,10 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
-from vo2_models.io import OutputFolder, one_line
+from vo2_models.command_line import Progress, refuse
+from vo2_models.io import OutputFolder
 
 if TYPE_CHECKING:
     from vo2_models.diagnosis.result import Diagnosis, NextExperiment
@@ -65,11 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run(options)
     except OSError as error:
         place = error.filename or options.output
-        print(f"diagnose: {place}: cannot be written ({error.strerror or error})", file=sys.stderr)
-        return 2
+        return refuse("diagnose", f"{place}: cannot be written ({error.strerror or error})")
     except ValueError as error:
-        print(f"diagnose: {one_line(error)}", file=sys.stderr)
-        return 2
+        return refuse("diagnose", error)
     except KeyboardInterrupt:
         print(f"diagnose: interrupted; nothing more is written to {options.output}", file=sys.stderr)
         return 130
@@ -149,7 +148,7 @@ def diagnose_bags(
         recording, found = read_recording(bag, device=model.description)
         recordings.append(recording)
         problems += [f"{bag}: {problem}" for problem in in_few_lines(found)]
-    with _Progress(quiet=quiet) as progress, ThreadPoolExecutor(1) as beside:
+    with Progress("diagnose", quiet=quiet, lines=False) as progress, ThreadPoolExecutor(1) as beside:
         files = beside.submit(import_module, "vo2_models.diagnosis.files")  # what draws takes a while to load
         known = len(calibration)
         result = study(
@@ -218,7 +217,7 @@ def continue_with_next(
     print(f"--next: playing an experiment that separates {' and '.join(experiment.separates)}", flush=True)
     recording, _ = read_recording(bags[0])
     bag = output / "next"
-    with _Progress(quiet=quiet) as progress:
+    with Progress("diagnose", quiet=quiet, lines=False) as progress:
         complete = play(
             experiment.excitation,
             bag,
@@ -234,27 +233,3 @@ def continue_with_next(
     print(f"recorded: {bag}", flush=True)
     diagnose_bags([*bags, bag], parameters, output / "with_next", calibration=calibration, quiet=quiet)
     return 0
-
-
-class _Progress:
-    """One line on a terminal: share done, what is being done, remaining time."""
-
-    def __init__(self, *, quiet: bool) -> None:
-        self.silent = quiet or not sys.stderr.isatty()
-        self.began, self.width = time.perf_counter(), 0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        if self.width:
-            print("\r" + " " * self.width + "\r", end="", file=sys.stderr, flush=True)
-
-    def __call__(self, share: float, text: str) -> None:
-        if self.silent:
-            return
-        elapsed = time.perf_counter() - self.began
-        rest = f", about {elapsed * (1 - share) / share:.0f} s left" if share > 0.05 else ""
-        line = f"{100 * share:3.0f} %  {text}{rest}"
-        print("\r" + line.ljust(self.width), end="", file=sys.stderr, flush=True)
-        self.width = max(self.width, len(line))

@@ -115,7 +115,12 @@ def load_effect(module: ModuleType) -> Effect:
     names = (*HOOKS, "advance", "settled", "prepare")
     hooks = {name: getattr(module, name) for name in names if callable(getattr(module, name, None))}
     complete = replace(record, hooks=hooks, file=file)
-    complete.check()
+    try:
+        complete.check()
+    except (TypeError, AttributeError) as error:
+        raise ValueError(
+            f"{file}: EFFECT: found a value of another type than Effect says ({error})"
+        ) from error
     return complete
 
 

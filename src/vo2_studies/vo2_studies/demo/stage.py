@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from vo2_models.command_line import Progress
 from vo2_models.recording import Recording
 
 from vo2_studies.demo.concealed import Concealed
@@ -69,6 +69,7 @@ class Stage:
     recordings : namespace -> role -> what the bag holds
     data : (scheme, phase) -> samples, for the figures
     diagnosing : the diagnosis, once it has been started
+    progress : what `show` shows, on a terminal
     failures : what went wrong without ending the run; the demo's exit status tells that there is something
     """
 
@@ -86,6 +87,7 @@ class Stage:
     diagnosing: Diagnosing | None = None
     failures: list[str] = field(default_factory=list)
     started: float = field(default_factory=time.monotonic)
+    progress: Progress = field(default_factory=lambda: Progress("demo", lines=False), repr=False)
 
     @property
     def bag(self) -> Path:
@@ -124,10 +126,8 @@ class Stage:
 
     def show(self, text: str) -> None:
         """Show what is going on in place, on a terminal."""
-        if sys.stdout.isatty():
-            print(f"\r\033[K[{time.monotonic() - self.started:5.1f} s]   {text}"[:110], end="", flush=True)
+        self.progress(None, f"[{time.monotonic() - self.started:5.1f} s]   {text}")
 
     def hush(self) -> None:
         """Clear what `show` left."""
-        if sys.stdout.isatty():
-            print("\r\033[K", end="", flush=True)
+        self.progress.clear()

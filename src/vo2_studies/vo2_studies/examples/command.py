@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from vo2_studies.examples.run import Outcome
 
+from vo2_models.command_line import refuse
+
 __all__ = ["main"]
 
 _DESCRIPTION = """
@@ -33,8 +35,7 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         return _run(options)
     except (ValueError, OSError) as error:
-        print(f"examples: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+        return refuse("examples", error)
     except KeyboardInterrupt:
         print("examples: interrupted", file=sys.stderr)
         return 130

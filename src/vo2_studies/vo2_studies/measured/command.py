@@ -18,6 +18,8 @@ from vo2_studies.reproduce.pool import interrupt_is_ours
 if TYPE_CHECKING:
     from vo2_studies.measured.report import SetReport
 
+from vo2_models.command_line import refuse
+
 __all__ = ["main"]
 
 _DESCRIPTION = """
@@ -46,14 +48,16 @@ def _run(arguments: Sequence[str] | None) -> int:
     data = options.data or data_folder()
     if data is None or not data.is_dir():
         where = "../shared/data beside the checkout" if data is None else str(data)
-        return _refuse(f"--data: found no folder {where}, need the measured recordings (or set VO2_DATA)")
+        return refuse(
+            "measured", f"--data: found no folder {where}, need the measured recordings (or set VO2_DATA)"
+        )
     keys = options.only or list(SOURCES)
     there = [key for key in keys if (data / SOURCES[key].file).exists()]
     missing = [SOURCES[key].file for key in keys if key not in there]
     if not there:
-        return _refuse(f"--data: found none of {', '.join(missing)} in {data}, need at least one")
+        return refuse("measured", f"--data: found none of {', '.join(missing)} in {data}, need at least one")
     if options.jobs < 1:
-        return _refuse(f"--jobs: found {options.jobs}, need at least 1")
+        return refuse("measured", f"--jobs: found {options.jobs}, need at least 1")
     from vo2_models.io import OutputFolder
 
     from vo2_studies.measured.report import write_report
@@ -75,9 +79,9 @@ def _run(arguments: Sequence[str] | None) -> int:
         html, answer = write_report(options.output, [reports[key] for key in there], missing)
         outputs.remember()
     except ValueError as error:
-        return _refuse(str(error))
+        return refuse("measured", error)
     except OSError as error:
-        return _refuse(f"{options.output}: cannot be written ({error.strerror or error})")
+        return refuse("measured", f"{options.output}: cannot be written ({error.strerror or error})")
     for name in missing:
         print(f"measured: {data / name} is not there: left out", file=sys.stderr)
     print(f"{html}\n{answer}")
@@ -133,11 +137,6 @@ def _study(key: str, data: Path, output: Path, diagnose: bool, quiet: bool) -> S
     line = line_of(found.best.fits[0], found.cases)
     problems = tuple(dict.fromkeys(text for trace in traces for text in trace.problems))
     return SetReport(SOURCES[key], found, answer, line, problems, time.monotonic() - began)
-
-
-def _refuse(text: str) -> int:
-    print(f"measured: {' '.join(text.split())}", file=sys.stderr)
-    return 2
 
 
 def _parser(keys: tuple[str, ...]) -> argparse.ArgumentParser:

@@ -14,6 +14,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 from types import ModuleType
 
+from vo2_models.command_line import Progress, refuse
 from vo2_models.io import InputError, OutputFolder, write_whole
 
 from vo2_studies.reproduce import INTERRUPTED
@@ -59,28 +60,21 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return 0
     wanted = [m for m in known if not options.only or any(_belongs(m.NUMBER, o) for o in options.only)]
     if not wanted:
-        print(
-            f"reproduce: --only: found {', '.join(options.only)}, need one of {', '.join(m.NUMBER for m in known)}",
-            file=sys.stderr,
-        )
-        return 2
+        numbers = ", ".join(m.NUMBER for m in known)
+        return refuse("reproduce", f"--only: found {', '.join(options.only)}, need one of {numbers}")
     if min(options.draws, options.robust_draws, options.workers) < 1:
-        print("reproduce: --draws, --robust-draws, --workers: need at least 1", file=sys.stderr)
-        return 2
+        return refuse("reproduce", "--draws, --robust-draws, --workers: need at least 1")
     outputs = OutputFolder(options.output, ("reproduction.json", "reproduction.html", "scenarios"))
     try:
         outputs.check()
         options.output.mkdir(parents=True, exist_ok=True)
         return _run_sections(wanted, options, outputs)
     except InputError as error:
-        print(f"reproduce: --output: {error}", file=sys.stderr)
+        return refuse("reproduce", f"--output: {error}")
     except OSError as error:
         place = error.filename or options.output
-        print(
-            f"reproduce: --output: cannot write {place} ({error.strerror}); give a writable folder",
-            file=sys.stderr,
-        )
-    return 2
+        reason = f"--output: cannot write {place} ({error.strerror}); give a writable folder"
+        return refuse("reproduce", reason)
 
 
 def _run_sections(wanted: Sequence[ModuleType], options: argparse.Namespace, outputs: OutputFolder) -> int:
@@ -89,13 +83,14 @@ def _run_sections(wanted: Sequence[ModuleType], options: argparse.Namespace, out
     done: list[Section] = []
     for module in wanted:
         begun = time.monotonic()
+        progress = Progress("reproduce")
         context = Context(
             options.draws,
             options.robust_draws,
             options.seed,
             options.workers,
             options.output,
-            _progress(module.NUMBER),
+            _said_of(module.NUMBER, progress),
         )
         try:
             section = module.run(context)
@@ -107,10 +102,11 @@ def _run_sections(wanted: Sequence[ModuleType], options: argparse.Namespace, out
             )
             return INTERRUPTED
         finally:
+            progress.clear()
             outputs.remember()
         done.append(section)
-        _line(f"{section.number:6s} {time.monotonic() - begun:.1f} s  {section.title}")
-        print(file=sys.stderr)
+        took = f"{time.monotonic() - begun:.1f} s"
+        print(f"{section.number:6s} {took}  {section.title}", file=sys.stderr, flush=True)
         print(_text(section), flush=True)
         # after every section: an interrupted run leaves what it has found
         _write(options.output, done, time.monotonic() - started, wanted)
@@ -157,13 +153,5 @@ def _belongs(number: str, wanted: str) -> bool:
     return number == wanted or number.startswith(wanted + ".") or wanted.startswith(number + ".")
 
 
-def _progress(number: str) -> Callable[[str, float], None]:
-    def say(text: str, share: float) -> None:
-        _line(f"{number:6s} {100 * share:3.0f} %  {text}")
-
-    return say
-
-
-def _line(text: str) -> None:
-    end = "" if sys.stderr.isatty() else "\n"
-    print(("\r\x1b[K" if sys.stderr.isatty() else "") + text, end=end, file=sys.stderr, flush=True)
+def _said_of(number: str, progress: Progress) -> Callable[[str, float], None]:
+    return lambda text, share: progress(share, f"{number:6s} {text}")
