@@ -1,4 +1,4 @@
-"""A loop in wall time, one process a node, with this process as its witness."""
+"""A loop in wall time or in lockstep, one process a node, with this process as its witness."""
 
 from __future__ import annotations
 
@@ -32,8 +32,9 @@ class WallLoop:
     rig : this process on the graph; `rig.heard` holds every measurement and command
     """
 
-    def __init__(self, rig: Bench, folder: Path, model: Path) -> None:
+    def __init__(self, rig: Bench, folder: Path, model: Path, time: str = "wall") -> None:
         self.rig = rig
+        self._time = time
         self._graph = Graph(int(os.environ["ROS_DOMAIN_ID"]), folder)
         self._model = model
         self.processes: dict[str, NodeProcess] = {}
@@ -45,7 +46,8 @@ class WallLoop:
 
     def start(self, name: str, label: str = "") -> None:
         """Start a node, or start it again; `label` for a second one of its kind."""
-        shared: dict[str, Value] = {"preset": "integrated", "time": "wall", "rate_hz": RATE_HZ}
+        shared: dict[str, Value] = {"preset": "integrated", "time": self._time}
+        shared |= {"rate_hz": RATE_HZ} if self._time == "wall" else {}
         own: dict[str, dict[str, Value]] = {
             "plant": {**shared, "true_channels": True},
             "estimator": {"preset": "integrated"},
@@ -114,10 +116,10 @@ class WallLoop:
 
 
 @contextmanager
-def wall_loop(folder: Path, model: Path) -> Iterator[WallLoop]:
+def wall_loop(folder: Path, model: Path, time: str = "wall") -> Iterator[WallLoop]:
     """Give a loop that has closed."""
     with bench() as rig:
-        loop = WallLoop(rig, folder, model)
+        loop = WallLoop(rig, folder, model, time)
         try:
             loop.until_closed()
             yield loop

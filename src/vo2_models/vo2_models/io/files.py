@@ -94,8 +94,16 @@ def check_place(path: str | Path) -> None:
     InputError : names the folder that cannot be written into.
     """
     parent = next((folder for folder in Path(path).absolute().parents if folder.exists()), Path("/"))
-    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+    if not parent.is_dir():
         raise InputError(f"{path}: cannot be written ({parent} is not a folder that may be written into)")
+    try:
+        # to ask for permission would not do: root has it where nobody can write
+        with tempfile.TemporaryFile(dir=parent):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written ({parent} is not a folder that may be written into: {error.strerror or error})"
+        ) from error
 
 
 def write_whole(path: str | Path, content: str | bytes) -> None:
