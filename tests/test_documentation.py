@@ -56,3 +56,15 @@ def test_commands_are_those_that_there_are(page):
     for package, executable in re.findall(r"\./vo2 run (vo2_\w+) ([a-z][\w-]*)", text):
         place = ROOT / "install" / package / "lib" / package / executable
         assert os.access(place, os.X_OK), f"{page.name}: {package} {executable}"
+
+
+def test_each_promise_names_a_test_that_is_there():
+    text = (ROOT / "docs" / "promises.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`([\w/]*test_\w+\.py)`", text))
+    there = [
+        str(path.relative_to(ROOT))
+        for folder in ("tests", "src")
+        for path in (ROOT / folder).rglob("test_*.py")
+    ]
+    assert len(named) > 10
+    assert {name for name in named if not any(path.endswith(name) for path in there)} == set()
