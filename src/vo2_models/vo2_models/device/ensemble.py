@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from vo2_models.numerics.kernel import kernel
 
@@ -45,6 +44,8 @@ def population(
     -------
     alpha, beta, offset : (count,) heating and cooling temperatures [degC], structural offset [K]
     """
+    from scipy.special import ndtri  # loads slowly, and a node starts without it
+
     if count < 1:
         raise ValueError(f"count: found {count}, need at least 1 domain")
     if seed is None:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import fsolve
 
 from vo2_models.device.coefficients import Coefficient, Sensor, sensor_index
 from vo2_models.device.description import DeviceDescription, preset
@@ -127,6 +126,8 @@ def _draw(nominal: DeviceDescription, seed: int | None, spread: float) -> dict[s
 @lru_cache(maxsize=8)
 def _calibrated(name: str, domains: int) -> np.ndarray:
     """Coefficients of the nominal device, computed so that its major loop spans the published ranges."""
+    from scipy.optimize import fsolve  # loads slowly, and a node starts without it
+
     nominal = preset(name)
     sites = nominal.sites
     if sites is None:

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 __all__ = ["mode_step"]
 
@@ -30,6 +29,8 @@ def mode_step(
     -------
     (2, 4) : rows give the next z and z'/w from (z, z'/w, last u, new u).
     """
+    from scipy.linalg import expm  # loads slowly, and a node starts without it
+
     angle = 2.0 * math.pi * frequency * period
     big = np.zeros((4, 4))
     big[0, 1] = angle

@@ -23,7 +23,6 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
 from vo2_models.parameters import Value
 from vo2_models.validation import finite_array
@@ -225,6 +224,8 @@ class LawInverse:
         ------
         ValueError : an output that is not finite.
         """
+        from scipy.optimize import brentq  # loads slowly, and a node starts without it
+
         wanted = float(finite_array(output, "output", ndim=0))
 
         def error(u: float) -> float:
