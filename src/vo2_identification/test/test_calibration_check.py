@@ -140,6 +140,19 @@ def test_a_fit_is_judged_by_what_it_leaves(recording):
         judge_fit(fitted(recording, film_resistance=0.5, tip_deflection=8e-8), [recording])
 
 
+@pytest.mark.parametrize(("side", "words"), [(1.0, "while heating"), (-1.0, "while cooling")])
+def test_a_poor_fit_is_told_with_the_branch_and_the_rate_where_it_is(recording, side, words):
+    rng = np.random.default_rng(6)
+    # up and down, slowly and then quickly
+    path = 50.0 - 30.0 * np.cos(np.concatenate([np.linspace(0, 2, 800), np.linspace(2, 6, 400)]) * np.pi)
+    rate = np.gradient(path)
+    worst = (np.sign(rate) == side) & (np.abs(rate) > np.median(np.abs(rate)))
+    left = np.where(worst, 1e-5, 1e-6) * rng.standard_normal(COUNT)
+    result = replace(fitted(recording, tip_deflection=6.5e-6), path=path, residuals={TIP_DEFLECTION: left})
+    (note,) = judge_fit(result, [recording])
+    assert f", most of it {words} and at the higher rates; look for" in note
+
+
 def test_noise_is_not_made_a_model_of(recording):
     noise = np.random.default_rng(3).standard_normal((2, COUNT))
     nothing = {RESISTANCE: 1e5 * np.exp(0.3 * noise[0]), TIP_DEFLECTION: 3e-5 + 1e-5 * noise[1]}

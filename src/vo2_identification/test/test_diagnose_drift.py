@@ -1,12 +1,18 @@
 """Another day is not new physics: constants that move are told as that, alone and beside an effect."""
 
+import re
+
 import numpy as np
 import pytest
-from concealed_devices import DEVICE, calibrated, concealed
-from vo2_models.device import DeviceModel
+from concealed_devices import DEVICE, SEED, calibrated, concealed, measured
+from vo2_models.device import DeviceModel, preset, truth
 from vo2_models.device.coefficients import Coefficient
 from vo2_models.diagnosis import diagnose, study, validate
 from vo2_models.diagnosis.files import write_results
+from vo2_models.diagnosis.limits import Limits
+from vo2_models.diagnosis.nominal import Nominal
+from vo2_models.diagnosis.progress import Clock
+from vo2_models.diagnosis.read import read
 from vo2_models.model_file import load_model_parameters
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
@@ -99,3 +105,20 @@ def test_a_dead_time_is_no_stamp(parameters) -> None:
     answer = diagnose([concealed({"dead_time": {"delay": 1.5e-3}})], parameters)
     assert [(e.id, e.family) for e in answer.effects] == [("dead_time", "drive")]
     assert not any("command_delay" in text for text in answer.limits)
+
+
+@pytest.mark.parametrize("periods", [0.6, 1.5])
+def test_commands_stamped_late_by_a_fraction_are_moved_to_where_they_act(parameters, periods) -> None:
+    nominal = preset(DEVICE)
+    stamped = np.random.default_rng(2).uniform(*sorted(nominal.operating_range), 80).repeat(15)
+    # a command that stands too late has acted before: what flows is partly the next one
+    ends = np.arange(stamped.size + 1.0)
+    charge = np.interp(ends + periods, ends, np.concatenate([[0.0], np.cumsum(stamped)]))
+    flows = np.append(np.diff(charge)[:-3], stamped[-3:])
+    seen = measured(truth(DEVICE, seed=SEED).simulate(flows, seed=3))
+    recording = Recording(seen.time_s, {**seen.channels, HEATER_CURRENT: stamped}, DEVICE)
+    reading = read([recording], Nominal.from_parameters(parameters), (), Limits(), Clock(lambda *_: None, 1))
+    told = [f.text for f in reading.findings if f.kind == "stamps"]
+    assert len(told) == 1
+    delay = float(re.search(r"command_delay (\S+) s", told[0])[1])  # type: ignore[index]
+    assert delay == pytest.approx(-1e-3 * periods, abs=0.05e-3)

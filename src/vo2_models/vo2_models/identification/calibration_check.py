@@ -31,6 +31,8 @@ _LEAST_EXPLAINED = 0.5
 _POOR_SHARE = 0.01
 _POOR_NOISE = 5.0
 _RETURN = 0.1
+_PLAINLY = 3.0
+_TOLD = 100
 
 
 def check_calibration(
@@ -118,10 +120,36 @@ def judge_fit(result: FitResult, recordings: Sequence[Recording]) -> list[str]:
             _POOR_NOISE * noise, _POOR_SHARE * float(np.ptp(values))
         ):
             notes.append(
-                f"{name} is fitted poorly: {size}, at a noise of {factor * noise:.2g}; look for gaps, jumps or a "
-                "wrong clock in the recording before you trust this model"
+                f"{name} is fitted poorly: {size}, at a noise of {factor * noise:.2g}{_where(result, channel)}; look for "
+                "gaps, jumps or a wrong clock in the recording before you trust this model, or for physics that it lacks "
+                "(diagnose --calibration)"
             )
     return notes
+
+
+def _where(result: FitResult, channel: str) -> str:
+    """Say on which branch and at which rate a channel is fitted worst, where one is plainly worse than the other."""
+    residual, path = result.residuals.get(channel), result.path
+    if residual is None or residual.size != path.size or path.size < 3:
+        return ""
+    rate = np.gradient(path)
+    # the cold samples between recordings are no rate
+    good = np.isfinite(residual) & (np.abs(rate) < 10.0 * np.quantile(np.abs(rate), 0.99) + 1e-12)
+    moving = good & (np.abs(rate) > 0.02 * np.quantile(np.abs(rate[good]), 0.95)) if good.any() else good
+    if np.count_nonzero(moving) < _TOLD:
+        return ""
+    fast = np.abs(rate) > np.median(np.abs(rate[moving]))
+    found = []
+    for one, other, words in (
+        (rate > 0.0, rate < 0.0, ("while heating", "while cooling")),
+        (fast, ~fast, ("at the higher rates", "at the lower rates")),
+    ):
+        sides = [
+            float(np.mean(residual[moving & side] ** 2)) for side in (one, other) if np.any(moving & side)
+        ]
+        if len(sides) == 2 and max(sides) > _PLAINLY * min(sides):
+            found.append(words[int(np.argmax(sides))])
+    return f", most of it {' and '.join(found)}" if found else ""
 
 
 def noise_level(channel: str, noise: float) -> float:
