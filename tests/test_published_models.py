@@ -1,0 +1,67 @@
+"""The printed parameters as files: what they say is what is printed, and every node that they are for takes them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from vo2_models.device.model import DeviceModel
+from vo2_models.hysteresis import EGPI, Cosine
+from vo2_models.identification.excitation import damped_oscillation
+from vo2_studies.published_models import OPERATING, SURROGATE, main, printed_deflection, printed_resistance
+
+FOLDER = Path(__file__).parents[1] / "src" / "vo2_studies" / "config"
+MODELS = {"tables_7_1_and_7_2": ("plant", "estimator", "controller"), "table_6_3": ("plant", "estimator")}
+CONTROLLERS = ("pi_chapter_7", "pid_chapter_8", "hinf_chapter_8")
+
+
+def _run(law, inputs):
+    memory = law.initial_memory()
+    return np.array([law.step(float(u), memory) for u in inputs])
+
+
+def test_the_tables_of_chapter_7_are_what_is_printed():
+    model = DeviceModel.load(FOLDER / "tables_7_1_and_7_2.yaml")
+    share = damped_oscillation(np.linspace(0.0, 1.0, 20))
+    current = OPERATING[0] + (OPERATING[1] - OPERATING[0]) * share
+    np.testing.assert_allclose(
+        _run(model.deflection, SURROGATE * current), 1e-6 * _run(printed_deflection(), current), rtol=1e-9
+    )
+    # a table of ohm as a law of -log10 R: fitted, to 0.02 decades on excursions that it was not fitted on
+    wanted = -np.log10(-_run(printed_resistance(), current))
+    assert np.sqrt(np.mean((_run(model.resistance, SURROGATE * current) - wanted) ** 2)) < 0.02
+    assert model.simulation.simulate(np.repeat(current, 3), noise=False)["tip_deflection"].min() > 40e-6
+
+
+def test_table_6_3_is_the_printed_operator():
+    law = DeviceModel.load(FOLDER / "table_6_3.yaml").deflection
+    printed = EGPI([0, 0.2, 0.4, 0.6, 0.8, 2], [6, 2, 1, 2, 4, 4], memoryless=Cosine(5.0))
+    v = np.random.default_rng(1).uniform(-10, 10, 200)
+    start = printed.initial_state(v=0.0, memory=[0.0] * 6)
+    wanted = np.asarray(printed.simulate(v, start)[0])
+    memory = np.zeros(7)
+    found = np.array([law.step(float(u), memory) for u in v])
+    np.testing.assert_allclose(found, wanted, atol=0.02)  # of 190: the envelopes are tanh of a thousandth
+
+
+@pytest.mark.slow
+def test_the_files_are_what_the_command_writes(tmp_path):
+    assert main(["--output", str(tmp_path)]) == 0
+    for name in (*MODELS, *CONTROLLERS):
+        assert (tmp_path / f"{name}.yaml").read_text() == (FOLDER / f"{name}.yaml").read_text(), name
+
+
+def test_every_node_takes_its_published_file(graph, conductor):
+    names = []
+    for file, nodes in (*MODELS.items(), *((name, ("controller",)) for name in CONTROLLERS)):
+        for node in nodes:
+            name = f"{node}_{file}"
+            graph.start(node, name=name, parameter_file=FOLDER / f"{file}.yaml")
+            names.append(f"/vo2/{name}")
+    conductor.wait_for_nodes(names)
+    graph.check()
+
+
+def test_a_folder_that_is_a_file_is_one_line(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert main(["--output", str(tmp_path / "file")]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
