@@ -7,6 +7,8 @@ import pytest
 from vo2_models.device.model import DeviceModel
 from vo2_models.hysteresis import EGPI, Cosine
 from vo2_models.identification.excitation import damped_oscillation
+from vo2_models.model_file import load_model_parameters
+from vo2_models.self_sensing import self_sensing
 from vo2_studies.published_models import OPERATING, SURROGATE, main, printed_deflection, printed_resistance
 
 FOLDER = Path(__file__).parents[1] / "src" / "vo2_studies" / "config"
@@ -41,6 +43,24 @@ def test_table_6_3_is_the_printed_operator():
     memory = np.zeros(7)
     found = np.array([law.step(float(u), memory) for u in v])
     np.testing.assert_allclose(found, wanted, atol=0.02)  # of 190: the envelopes are tanh of a thousandth
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"model.self_sensing.bounds.log10_resistance": [4.0, 3.0, 5.0], "model.self_sensing.bounds.composite": [1e-6] * 3},
+         "model.self_sensing.bounds.log10_resistance: found 3 after 4 at index 1, need strictly increasing values"),
+        ({"model.self_sensing.preisach.walls": [0.0, 2.0, 1.0], "model.self_sensing.preisach.domain": [4.0, 5.0],
+          "model.self_sensing.preisach.weights": [1e-6] * 3, "model.self_sensing.preisach.coefficients": [0.0]}, "walls"),
+        ({"model.resistance.radii": [0.0]}, "model.resistance.radii: found 1 value"),
+    ],
+)  # fmt: skip
+def test_tables_of_a_model_file_that_do_not_rise_or_do_not_fit_are_one_line(changes, said):
+    parameters = load_model_parameters(FOLDER / "tables_7_1_and_7_2.yaml") | changes
+    kind = "preisach" if "model.self_sensing.preisach.walls" in changes else "composite"
+    with pytest.raises(ValueError, match=said) as refused:
+        self_sensing(kind, parameters)
+    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.slow

@@ -121,6 +121,7 @@ REFERENCES: dict[str, dict[str, ReferenceSignal]] = {
     },
 }
 """The reference signals of sections 7.4 (`integrated`) and 8.4 (`peltier`)."""
+REFERENCES["peltier_chapter8"] = REFERENCES["peltier"]
 
 
 def reference_signal(preset: str, signal: str) -> ReferenceSignal:

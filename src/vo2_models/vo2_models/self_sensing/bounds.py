@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from vo2_models.numerics.kernel import kernel
 from vo2_models.parameters import Value
 from vo2_models.self_sensing.records import BOUND_KNOTS, SECTION
+from vo2_models.validation import increasing
 
 __all__ = ["COVERAGE", "bound_table", "fit_bound", "table_at"]
 
@@ -53,12 +54,16 @@ def bound_table(kind: str, parameters: Mapping[str, Value]) -> Floats:
     Parameters
     ----------
     kind : scheme, one of `KINDS`
+
+    Raises
+    ------
+    ValueError : knots that do not increase.
     """
     knots = np.atleast_1d(np.asarray(parameters.get(BOUND_KNOTS, []), dtype=np.float64))
     bounds = np.atleast_1d(np.asarray(parameters.get(f"{SECTION}.bounds.{kind}", []), dtype=np.float64))
     if knots.size == 0 or bounds.size != knots.size:
         return np.array([0.0, np.nan])
-    return np.concatenate([knots, bounds])
+    return np.concatenate([increasing(knots, BOUND_KNOTS), bounds])
 
 
 @kernel

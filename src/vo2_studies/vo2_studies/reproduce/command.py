@@ -129,6 +129,8 @@ def _text(section: Section) -> str:
             lines += ["  " + "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)) for row in cells]
         elif not isinstance(part, Figure):
             lines += ["", textwrap.fill(part, 110)]
+    for remark in section.remarks:
+        lines += ["", textwrap.fill(remark, 110)]
     lines += ["", f"  {'published':>10s} {'ours':>10s}  {'unit':10s} {'state':13s}claim"]
     lines += [_claim_text(claim) for claim in section.claims]
     return "\n".join([*lines, f"  {tally(section.claims)}"])
