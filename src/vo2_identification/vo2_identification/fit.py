@@ -53,6 +53,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     from vo2_models.device.description import preset
+    from vo2_models.identification.loop_law import LAW_CHOICES
     from vo2_models.identification.model_fit import fit_model
     from vo2_models.model_file import save_model_parameters
 
@@ -62,6 +63,8 @@ def _run(options: argparse.Namespace) -> int:
     begun = time.monotonic()
     progress = Progress("fit", quiet=options.quiet)
     try:
+        if options.law and options.law not in LAW_CHOICES:
+            raise ValueError(f"--law: found {options.law!r}, need one of {', '.join(LAW_CHOICES)}")
         device = preset(options.device)
         _check_place(options.output)
         recordings = []
@@ -78,6 +81,7 @@ def _run(options: argparse.Namespace) -> int:
             progress=lambda text, share: progress(share, text),
             names=names,
             self_sensing=not options.simulation_only,
+            law=options.law,
         )
         progress.clear()
         save_model_parameters(options.output, parameters, comment=f"{MARK} to {', '.join(names)}")
@@ -184,6 +188,14 @@ def _parser() -> argparse.ArgumentParser:
         "--output", type=Path, required=True, help="model file to write (YAML); with --bags a folder"
     )
     parser.add_argument("--plays", type=_plays, default=12, help="plays of each channel's loop (default 12)")
+    parser.add_argument(
+        "--law",
+        default="",
+        metavar="LAW",
+        help="hysteresis law of the simulation: plays, preisach, gpi, egpi, bouc_wen, limiting_loop, domains, or auto for "
+        "the one that predicts held-out parts best (default: plays; without a heated body plays or preisach, by held-out "
+        "error)",
+    )
     parser.add_argument(
         "--simulation-only",
         action="store_true",

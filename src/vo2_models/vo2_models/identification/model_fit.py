@@ -20,6 +20,8 @@ from vo2_models.identification.device_fit import PLAYS, FitResult, fit_device
 from vo2_models.identification.digest import LAGS, digest_of
 from vo2_models.identification.enrichment import EnrichmentBasis
 from vo2_models.identification.grid import on_grid
+from vo2_models.identification.loop_law import PLAYS as PLAYS_LAW
+from vo2_models.identification.loop_law import with_law
 from vo2_models.identification.rig_fit import fit_rig
 from vo2_models.parameters import Value
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording, aligned
@@ -40,6 +42,7 @@ def fit_model(
     progress: Callable[[str, float], None] | None = None,
     names: Sequence[str] = (),
     self_sensing: bool = True,
+    law: str = "",
 ) -> tuple[FitResult, dict[str, Value]]:
     """Fit a device and what builds on it.
 
@@ -50,6 +53,7 @@ def fit_model(
     plays : plays of each channel's loop
     progress : called with what is being done and the share done, 0 to 1
     names : of the recordings, for the messages
+    law : of `loop_law.LAW_CHOICES`; by default plays, and on a device without body plays or Preisach by held-out error
     self_sensing : whether to fit the laws of self-sensing too, which `estimator` needs and `diagnose` does not
 
     Returns
@@ -67,13 +71,16 @@ def fit_model(
     if description.has_body:
         result = fit_device(recordings, description.key, plays=plays, progress=progress)
     else:
-        result = fit_rig(recordings, description, progress=progress)
+        result = fit_rig(recordings, description, law=law, progress=progress)
     if delay:
         notes.append(
             f"commands act {delay:.4g} s after where they stand in the recording, which the model allows for"
         )
         result = replace(result, model=replace(result.model, command_delay=delay))
     notes += _lateness(result, description, recordings[0].sample_period_s)
+    of_plays = result.model.to_parameters()
+    if description.has_body and law not in ("", PLAYS_LAW):
+        result = with_law(result, law)
     result = replace(result, notes=(*notes, *result.notes, *judge_fit(result, recordings)))
     parameters = result.model.to_parameters()
     both = [r for r in recordings if RESISTANCE in r and TIP_DEFLECTION in r]
@@ -81,7 +88,8 @@ def fit_model(
         if self_sensing:
             if progress:
                 progress("self-sensing", 0.95)
-            parameters |= characterise(max(both, key=len), parameters)
+            # the schemes have laws of their own, which start from plays
+            parameters |= characterise(max(both, key=len), of_plays)
         parameters |= _digest(result, recordings[0], both[0] is recordings[0])
     return result, parameters
 

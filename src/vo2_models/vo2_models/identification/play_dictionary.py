@@ -119,7 +119,13 @@ def fold_of(good: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def fit_dictionary(
-    dictionary: PlayDictionary, path: Floats, values: Floats, *, degree: int, most: int = 4000
+    dictionary: PlayDictionary,
+    path: Floats,
+    values: Floats,
+    *,
+    degree: int,
+    most: int = 4000,
+    fold: NDArray[np.int64] | None = None,
 ) -> DictionaryFit:
     """Fit weights and polynomial; the ridge is the one that predicts held-out blocks best.
 
@@ -130,6 +136,7 @@ def fit_dictionary(
     degree : of the polynomial
     most : samples used, spread evenly over those with a value
     dictionary : plays on a grid
+    fold : (n,) part that each sample is held out with, -1 for none; by default blocks of time
 
     Returns
     -------
@@ -148,10 +155,15 @@ def fit_dictionary(
     centre = float(np.mean(values[rows]))
     target = values[rows] - centre
     plays = dictionary.centre.size
-    fold = fold_of(np.ones(rows.size, dtype=np.bool_))
-    grams = [columns[fold == k].T @ columns[fold == k] for k in range(FOLDS)]
-    rights = [columns[fold == k].T @ target[fold == k] for k in range(FOLDS)]
-    gram, right = sum(grams), sum(rights)
+    part = fold_of(np.ones(rows.size, dtype=np.bool_)) if fold is None else fold[rows]
+    parts = np.unique(part[part >= 0])
+    grams = [columns[part == k].T @ columns[part == k] for k in parts]
+    rights = [columns[part == k].T @ target[part == k] for k in parts]
+    if np.any(part < 0):
+        always = columns[part < 0]
+        gram, right = always.T @ always + sum(grams), always.T @ target[part < 0] + sum(rights)
+    else:
+        gram, right = sum(grams), sum(rights)
     size = np.mean(np.diag(gram)[:plays])
 
     def solved(normal: Floats, side: Floats, ridge: float) -> Floats:
@@ -161,11 +173,11 @@ def fit_dictionary(
 
     tried = []
     for ridge in _RIDGES:
-        gap = np.empty(rows.size)
-        for k in range(FOLDS):
-            weights = solved(gram - grams[k], right - rights[k], ridge)
-            gap[fold == k] = target[fold == k] - columns[fold == k] @ weights
-        tried.append((float(np.sqrt(np.mean(gap**2))), ridge, gap))
+        gap = np.full(rows.size, np.nan)
+        for k, own, side in zip(parts, grams, rights, strict=True):
+            weights = solved(gram - own, right - side, ridge)
+            gap[part == k] = target[part == k] - columns[part == k] @ weights
+        tried.append((float(np.sqrt(np.nanmean(gap**2))), ridge, gap))
     misfit, ridge, gap = min(tried, key=lambda one: one[0])
     weights = solved(gram, right, ridge)
     held_out = np.full(values.size, np.nan)

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from vo2_models.device.description import DeviceDescription
 from vo2_models.device.model import DeviceModel, SensorModel
+from vo2_models.hysteresis.law import Law
+from vo2_models.hysteresis.law_fit import FITTED
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.bank_fit import BankFit, BankShape, evaluate, fit_bank
 from vo2_models.identification.bank_uncertainty import bank_uncertainty
@@ -17,6 +19,15 @@ from vo2_models.identification.completion import noise_of_recordings
 from vo2_models.identification.coverage import coverage_of, misfit_note
 from vo2_models.identification.device_fit import FitResult
 from vo2_models.identification.grid import GriddedRecording, on_grid
+from vo2_models.identification.loop_law import (
+    AUTO,
+    MARGIN,
+    PLAYS,
+    LoopLaw,
+    better_of,
+    fit_loop_law,
+    folds_of_recordings,
+)
 from vo2_models.identification.loops_fit import SECTIONS, film_path
 from vo2_models.identification.noise import residual_colour
 from vo2_models.identification.play_dictionary import (
@@ -33,9 +44,8 @@ __all__ = ["fit_rig"]
 Floats = NDArray[np.float64]
 _GRIDS = ({"centres": 20, "widths": 10}, {"centres": 60, "widths": 8})
 """Grids of plays, smooth and sharp."""
-_REFINED = (8, 24)
+_REFINED = (3, 8, 24)
 """Numbers of the heaviest plays that Levenberg-Marquardt moves, tried against all of them as they stand."""
-_MARGIN = 0.97
 _STEPS = 40
 _SHORT, _LONGEST = 2_000, 20_000
 """Samples below which all held-out parts judge, and above which the plays are not moved: the convex fit stands."""
@@ -45,17 +55,20 @@ def fit_rig(
     recordings: Sequence[Recording],
     device: DeviceDescription,
     *,
+    law: str = "",
     progress: Callable[[str, float], None] | None = None,
 ) -> FitResult:
     """Fit the loops of a device without body, and how they follow the drive.
 
     Sense, lag or delay and memoryless part are chosen by held-out evidence (`rig_dynamics`); so is whether the plays
-    stand on a grid or are moved. Each sensor's `misfit` is the error on the held-out parts.
+    stand on a grid or are moved, and whether a Preisach law does better. Each sensor's `misfit` is the error on the
+    held-out parts.
 
     Parameters
     ----------
     recordings : in roles
     device : completed by what the recordings tell
+    law : of `loop_law.LAW_CHOICES`; by default plays or Preisach, whichever predicts held-out parts better
     progress : called with what is being done and the share done, 0 to 1
 
     Returns
@@ -95,18 +108,20 @@ def fit_rig(
     model = replace(model, scalars={**model.scalars, **scalars})
     path = film_path(model, grids, True)
     notes = list(coverage.notes)
-    banks: dict[str, PlayBank] = {}
+    laws: dict[str, Law] = {}
     sensors: dict[str, SensorModel] = {}
     residuals: dict[str, Floats] = {}
     uncertainty: dict[str, tuple[float, ...]] = {}
     for k, role in enumerate(roles):
         channel = device.names[role]
         say(f"loop of {channel}", 0.4 + 0.5 * k / len(roles))
-        fit, misfit, kind = _loop(path, values[role], dynamics.degree)
-        notes.append(f"{channel}: {kind}")
+        fold = folds_of_recordings([grid.current for grid in grids], fold_of(np.isfinite(values[role])))
+        fit = _loop(path, values[role], dynamics.degree, fold, law)
+        misfit = fit.misfit
+        notes.append(f"{channel}: {fit.words}")
         section = SECTIONS[role]
-        banks[section] = fit.shape.bank()
-        uncertainty |= {f"{section}.{name}": std for name, std in bank_uncertainty(fit).items()}
+        laws[section] = fit.law
+        uncertainty |= {f"{section}.{name}": std for name, std in fit.uncertainty.items()}
         residuals[role] = fit.residual
         residual = float(np.sqrt(np.nanmean(fit.residual**2)))
         noise = device.noise.get(role, noise_of_recordings(recordings, role))
@@ -120,8 +135,8 @@ def fit_rig(
     return FitResult(
         model=replace(
             model,
-            resistance=banks.get("resistance", PlayBank()),
-            deflection=banks.get("deflection", PlayBank()),
+            resistance=laws.get("resistance", PlayBank()),
+            deflection=laws.get("deflection", PlayBank()),
             sensors=sensors,
             uncertainty=uncertainty,
         ),
@@ -141,18 +156,27 @@ def _along(grids: Sequence[GriddedRecording], role: str) -> Floats:
     return np.concatenate(parts)
 
 
-def _loop(path: Floats, values: Floats, degree: int) -> tuple[BankFit, float, str]:
-    """Return the loop that predicts held-out parts best, its error there, and what it is made of."""
+def _loop(path: Floats, values: Floats, degree: int, fold: NDArray[np.int64], law: str) -> LoopLaw:
+    """Return the law that was asked for, or the one that predicts held-out parts best."""
+    if law and law not in (PLAYS, AUTO):
+        return fit_loop_law(law, path, values, fold)
+    plays = _plays(path, values, degree, fold)
+    names = () if law == PLAYS else tuple(FITTED) if law == AUTO else ("preisach",)
+    others = [fit_loop_law(name, path, values, fold) for name in names]
+    return better_of(plays, others)
+
+
+def _plays(path: Floats, values: Floats, degree: int, fold: NDArray[np.int64]) -> LoopLaw:
+    """Return the bank of plays that predicts held-out parts best."""
     inside = path[path > path.min()]
     dictionaries = [PlayDictionary.over(float(inside.min()), float(inside.max()), **grid) for grid in _GRIDS]
-    fits = [fit_dictionary(dictionary, path, values, degree=degree) for dictionary in dictionaries]
+    fits = [fit_dictionary(dictionary, path, values, degree=degree, fold=fold) for dictionary in dictionaries]
     convex = min(fits, key=lambda one: one.misfit)
-    good = np.isfinite(values)
-    fold = fold_of(good)
-    count = int(np.count_nonzero(good))
+    count = int(np.count_nonzero(np.isfinite(values)))
     # one part tells enough of a long recording; of a short one all are needed
-    judged = range(FOLDS) if count < _SHORT else (FOLDS - 1,)
-    seen = np.isin(fold, list(judged)) & np.isfinite(convex.held_out)
+    parts = np.unique(fold[fold >= 0]).tolist()
+    judged = parts if count < _SHORT or len(parts) < FOLDS else parts[-1:]
+    seen = np.isin(fold, judged) & np.isfinite(convex.held_out)
     reference = least = float(np.sqrt(np.mean(convex.held_out[seen] ** 2)))
     chosen: BankShape | None = None
     for plays in _REFINED if count <= _LONGEST else ():
@@ -164,13 +188,15 @@ def _loop(path: Floats, values: Floats, degree: int) -> tuple[BankFit, float, st
             moved = fit_bank(path, np.where(fold == part, np.nan, values), start, iterations=_STEPS)
             gaps.append(moved.residual_of(path, values)[(fold == part) & seen])
         error = float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)))
-        if error < _MARGIN * least:
+        if error < MARGIN * least:
             least, chosen = error, start
     misfit = convex.misfit * least / reference
     if chosen is not None:
         fit = fit_bank(path, values, chosen, iterations=_STEPS)
-        return fit, misfit, f"{chosen.centre.size} plays, moved, and a polynomial of degree 3"
-    shape = convex.shape(degree=degree)
-    output, jacobian = evaluate(shape, path)
-    kind = f"{shape.centre.size} plays on a grid and a polynomial of degree {degree}"
-    return BankFit(shape, values - output, jacobian, 0), misfit, kind
+        words = f"{chosen.centre.size} plays, moved, and a polynomial of degree 3"
+    else:
+        shape = convex.shape(degree=degree)
+        output, jacobian = evaluate(shape, path)
+        fit = BankFit(shape, values - output, jacobian, 0)
+        words = f"{shape.centre.size} plays on a grid and a polynomial of degree {degree}"
+    return LoopLaw(fit.shape.bank(), misfit, fit.residual, words, bank_uncertainty(fit))

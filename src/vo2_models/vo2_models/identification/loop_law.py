@@ -1,0 +1,192 @@
+"""The law of a loop over its coordinate: fitted by name, or chosen by what predicts held-out parts of the calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.hysteresis.law import Law
+from vo2_models.hysteresis.law_fit import FITTED
+from vo2_models.hysteresis.play_bank import PlayBank
+from vo2_models.identification.bank_fit import BankShape, fit_bank
+from vo2_models.identification.device_fit import FitResult
+from vo2_models.identification.loops_fit import SECTIONS
+from vo2_models.identification.play_dictionary import fold_of
+from vo2_models.identification.preisach_choice import choose_preisach
+
+__all__ = [
+    "AUTO",
+    "LAW_CHOICES",
+    "PLAYS",
+    "LoopLaw",
+    "better_of",
+    "fit_loop_law",
+    "folds_of_recordings",
+    "with_law",
+]
+
+Floats = NDArray[np.float64]
+AUTO, PLAYS = "auto", "plays"
+LAW_CHOICES = (PLAYS, *FITTED, AUTO)
+"""What `fit --law` takes."""
+_FEWEST_RECORDINGS = 3
+_STEPS = 40
+MARGIN = 0.97
+"""Share of the held-out error of what is simpler, below which something less simple is taken."""
+
+
+@dataclass(frozen=True)
+class LoopLaw:
+    """A fitted law.
+
+    Attributes
+    ----------
+    law : of the registry
+    misfit : root mean square of the residual on held-out parts; NaN where nothing could be held out
+    residual : (n,) measured minus law, NaN where there is no value
+    words : what it is made of
+    uncertainty : name of an array of the law -> standard deviations
+    """
+
+    law: Law
+    misfit: float
+    residual: Floats = field(repr=False)
+    words: str
+    uncertainty: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+
+def folds_of_recordings(drives: Sequence[Floats], fold: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the parts to hold out: whole recordings, where there are at least three, else blocks of time.
+
+    With recordings of different amplitude the question is what lies between them, which blocks of time do not ask. A
+    recording that reaches beyond all others is never held out: that would be an extrapolation.
+
+    Parameters
+    ----------
+    drives : (m,) drive of each recording
+    fold : (n,) blocks of time along all recordings, one sample before each; -1 where there is no value
+
+    Returns
+    -------
+    (n,) part of each sample, -1 for those that are always given
+    """
+    if len(drives) < _FEWEST_RECORDINGS:
+        return fold
+    whole = np.full(fold.size, -1, dtype=np.int64)
+    ends, count = np.cumsum([0, *(drive.size + 1 for drive in drives)]), 0
+    for k, drive in enumerate(drives):
+        others = [one for j, one in enumerate(drives) if j != k]
+        inside = min(o.min() for o in others) <= drive.min() + 0.01 * np.ptp(drive)
+        if inside and drive.max() <= max(o.max() for o in others):
+            whole[ends[k] : ends[k + 1]] = count
+            count += 1
+    whole[fold < 0] = -1
+    return whole if (whole >= 0).any() else fold
+
+
+def fit_loop_law(name: str, path: Floats, values: Floats, fold: NDArray[np.int64]) -> LoopLaw:
+    """Fit one law of `FITTED`; its misfit is that of fits without each part.
+
+    Parameters
+    ----------
+    name : of `FITTED`
+    path : (n,) loop coordinate, from lower saturation on
+    values : (n,) measured, NaN where missing
+    fold : (n,) part that each sample is held out with, -1 for none
+
+    Raises
+    ------
+    ValueError : another name, or what the fit of the law refuses.
+    """
+    if name not in FITTED:
+        raise ValueError(f"law: found {name!r}, need one of {', '.join(LAW_CHOICES)}")
+    good = np.isfinite(values)
+    if name == "preisach":
+        found = choose_preisach(path, values, fold)
+        return LoopLaw(found.law, found.misfit, found.residual, found.words)
+    inside = np.maximum(path, path[good].min())  # what comes before a recording lies far below
+    filled = np.where(good, values, 0.0)
+
+    def residual(measured: NDArray[np.bool_]) -> tuple[Law, Floats]:
+        law, _ = FITTED[name](inside, filled, fold, measured)
+        return law, np.where(good, values - law.run(inside), np.nan)
+
+    squares, count = 0.0, 0
+    for part in np.unique(fold[good & (fold >= 0)]):
+        held = good & (fold == part)
+        squares += float(np.sum(residual(good & ~held)[1][held] ** 2))
+        count += int(np.count_nonzero(held))
+    law, left = residual(good)
+    return LoopLaw(law, float(np.sqrt(squares / count)) if count else float("nan"), left, f"law {name}")
+
+
+def with_law(result: FitResult, name: str) -> FitResult:
+    """Return a fit in which the laws of the loops are others, over the same temperatures.
+
+    Lags, temperature scale and noise stay those that were found with plays. For `AUTO`, plays stay where no other law
+    predicts held-out parts better; their own held-out error is that of twelve plays fitted anew without each part.
+
+    Parameters
+    ----------
+    result : with banks of plays
+    name : of `FITTED`, or `AUTO`
+
+    Raises
+    ------
+    ValueError : as `fit_loop_law`.
+    """
+    laws: dict[str, Any] = {}
+    residuals, sensors = dict(result.residuals), dict(result.model.sensors)
+    channels = result.model.description.names
+    uncertainty, notes = dict(result.model.uncertainty), list(result.notes)
+    for role, section in SECTIONS.items():
+        law = getattr(result.model, section)
+        if role not in result.residuals or not law.present:
+            continue
+        output = law.run(result.path, law.initial_memory())
+        values = output + result.residuals[role]
+        fold = fold_of(np.isfinite(values))
+        names = tuple(FITTED) if name == AUTO else (name,)
+        found = min(
+            (fit_loop_law(one, result.path, values, fold) for one in names), key=lambda one: one.misfit
+        )
+        if name == AUTO:
+            own = _plays_again(law, result.path, values, fold)
+            if not found.misfit < MARGIN * own:
+                notes.append(
+                    f"{channels[role]}: plays, held-out error {own:.3g}; best of the other laws {found.misfit:.3g}"
+                )
+                continue
+        laws[section], residuals[role] = found.law, found.residual
+        notes.append(f"{channels[role]}: {found.words}, held-out error {found.misfit:.3g}")
+        sensors[role] = replace(
+            sensors[role], residual=float(np.sqrt(np.nanmean(found.residual**2))), misfit=found.misfit
+        )
+        uncertainty = {key: std for key, std in uncertainty.items() if not key.startswith(f"{section}.")}
+    model = replace(result.model, **laws, sensors=sensors, uncertainty=uncertainty)
+    return replace(result, model=model, residuals=residuals, notes=tuple(notes))
+
+
+def _plays_again(law: Law, path: Floats, values: Floats, fold: NDArray[np.int64]) -> float:
+    """Error of a bank of plays on the parts it was not given, fitted from where the bank stands."""
+    start, gaps = BankShape.of_bank(cast("PlayBank", law)), []
+    for part in np.unique(fold[fold >= 0]):
+        moved = fit_bank(path, np.where(fold == part, np.nan, values), start, iterations=_STEPS)
+        gaps.append(moved.residual_of(path, values)[fold == part])
+    return float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)))
+
+
+def better_of(simple: LoopLaw, others: Sequence[LoopLaw]) -> LoopLaw:
+    """Return the law with the smallest misfit; another than the first must be better by a margin.
+
+    Parameters
+    ----------
+    simple : preferred
+    others : tried against it
+    """
+    best = min(others, key=lambda one: one.misfit, default=simple)
+    return best if best.misfit < MARGIN * simple.misfit else simple
