@@ -20,12 +20,8 @@ LIBRARIES = (
 )
 
 
-# modules that are being rebuilt: their functions are still to be read
-OPEN = re.compile(
-    r"vo2_models\.(device|diagnosis|effects|hysteresis\.laws)\."
-    r"|vo2_interface\.|.*estimator_node\.main$|vo2_control\.controller\."
-    r"|vo2_identification\.diagnose\.command\."
-)
+# the stages of the diagnosis are still to be told in full
+OPEN = re.compile(r"vo2_models\.diagnosis\.")
 
 
 def functions():
@@ -44,7 +40,9 @@ def functions():
 
 
 def compiled(function):
-    return any(str(decorator.value).startswith("kernel") for decorator in function.decorators)
+    return any(
+        str(decorator.value).startswith(("kernel", "inner", "inside")) for decorator in function.decorators
+    )
 
 
 FUNCTIONS = [function for function in functions() if not OPEN.match(function.path)]

@@ -156,12 +156,21 @@ def limited_step(
     estimate_m: float,
     ahead_a: float,
 ) -> float:
-    """One sample of a `LinearLaw` behind its limits; updates `state` (n + 1,) in place, returns the current [A].
+    """Make one step of a `LinearLaw` behind its limits; return the current [A].
 
-    The last element of `state` is the current applied before; `following` (n,) is room to work in. `ahead_a` [A] is
-    added in the law's coordinate: the operating current plus any feedforward, so that one set of limits and one
-    anti-windup serve both. Plain loops: studies compile this very function with numba for arrays, nodes call it as
-    it is with lists of floats, which a few states are faster in than in arrays.
+    Plain loops: studies compile this very function with numba for arrays, nodes call it as it is with lists of floats,
+    which a few states are faster in than in arrays.
+
+    Parameters
+    ----------
+    a, b, c, d, conditioning, squared : of the `LinearLaw`
+    lower_a, upper_a : limits of the current [A]
+    largest_change_a : of the current in one sample [A]
+    state : (n + 1,) state and the current applied before [A]; updated in place
+    following : (n,) room to work in
+    reference_m, estimate_m : wanted and estimated deflection [m]
+    ahead_a : added in the law's coordinate [A]: the operating current plus any feedforward, so that one set of limits
+        and one anti-windup serve both
     """
     v = d[0] * reference_m + d[1] * estimate_m
     v += ahead_a * abs(ahead_a) if squared else ahead_a

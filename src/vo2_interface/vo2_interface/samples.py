@@ -50,6 +50,10 @@ class MalformedSampleError(ValueError):
 def message_stamp_ns(data: bytes) -> int:
     """Return the stamp [ns] that a serialized message begins with.
 
+    Parameters
+    ----------
+    data : the message as it came, in CDR
+
     Raises
     ------
     MalformedSampleError : the message ends before it, it is negative, or it has more nanoseconds than a second.

@@ -12,5 +12,12 @@ __all__ = ["create_steady_timer"]
 
 
 def create_steady_timer(node: Node, period_s: float, callback: Callable[[], object]) -> None:
-    """Call `callback` every `period_s` seconds of a clock that neither jumps nor stands, also with `use_sim_time`."""
+    """Let a node call a function by a clock that neither jumps nor stands, also with `use_sim_time`.
+
+    Parameters
+    ----------
+    node : that the timer belongs to
+    period_s : [s]
+    callback : is called every `period_s`
+    """
     node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))

@@ -34,7 +34,7 @@ def refuse(program: str, reason: object) -> int:
 
 
 def duration(seconds: float) -> str:
-    """Return a time span [s] in words, in its natural unit."""
+    """Return a time span of so many `seconds` in words, in its natural unit."""
     if seconds < 90.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400.0 else f"{seconds / 3600:.1f} h"

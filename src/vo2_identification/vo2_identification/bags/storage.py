@@ -128,7 +128,7 @@ def _present_as(wanted: Path, present: list[Path]) -> Path | None:
 
 
 def is_storage_file(path: Path) -> bool:
-    """Whether the name is that of a bag's storage file (.mcap, .db3, either with .zstd behind it).
+    """Return whether the name is that of a bag's storage file (.mcap, .db3, either with .zstd behind it).
 
     Parameters
     ----------

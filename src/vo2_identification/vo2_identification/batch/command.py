@@ -24,7 +24,7 @@ _MOST_JOBS = 256
 
 
 def add_batch_options(parser: argparse.ArgumentParser) -> None:
-    """Give a command the options of work over a folder."""
+    """Give the `parser` of a command the options of work over a folder."""
     parser.add_argument("--bags", type=Path, metavar="FOLDER", help=BATCH_HELP)
     parser.add_argument(
         "--jobs",

@@ -91,6 +91,10 @@ def run_batch(
     dask : address of the scheduler of a Dask cluster, whose workers are taken instead
     quiet : no progress
 
+    Returns
+    -------
+    Batch : rows of the finished bags, and what failed
+
     Raises
     ------
     InputError : a folder that somebody else made stands where a result must go; no such cluster.

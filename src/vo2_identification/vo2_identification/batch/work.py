@@ -75,7 +75,12 @@ class Outcome:
 
 
 def work(task: Task) -> Outcome:
-    """Fit or diagnose one bag; what cannot be used is an outcome too."""
+    """Return the outcome of the fit or diagnosis of one bag; what cannot be used is an outcome too.
+
+    Parameters
+    ----------
+    task : what to do with which bag
+    """
     began = time.perf_counter()
     if task.effects:
         from vo2_models.effects.catalogue import VARIABLE

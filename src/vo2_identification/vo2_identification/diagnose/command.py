@@ -22,7 +22,12 @@ __all__ = ["continue_with_next", "diagnose_bags", "main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0 whatever was found, 2 on unusable input."""
+    """Run the command; return its exit status: 0 whatever was found, 2 on unusable input.
+
+    Parameters
+    ----------
+    arguments : command line, None for that of the process
+    """
     from vo2_models.effects.catalogue import add_effects_option
 
     from vo2_identification.batch import add_batch_options
@@ -195,6 +200,16 @@ def continue_with_next(
     quiet: bool = False,
 ) -> int:
     """Play what a diagnosis of `bags` proposes, record it, and diagnose it together with them.
+
+    Parameters
+    ----------
+    experiment : that the diagnosis proposes; None where nothing is left to separate
+    bags : recordings that were diagnosed
+    parameters : of the model
+    output : folder of the diagnosis; the recording goes into `next` in it, the new results into `with_next`
+    calibration : bags that the model was fitted to
+    namespace : of the loop with the device
+    quiet : no progress
 
     Returns
     -------

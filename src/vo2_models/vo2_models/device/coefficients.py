@@ -195,9 +195,14 @@ def neutral() -> Floats:
 
 
 def apply_effects(c: Floats, values: Mapping[str, Mapping[str, float | str]], *, device: str) -> None:
-    """Write effects `{id: {parameter: value, "signal": channel}}` into the coefficient vector `c`.
+    """Write effects into a coefficient vector.
 
-    An id may be followed by ":" and a word, so that one effect can sit on several signals.
+    Parameters
+    ----------
+    c : coefficients, changed in place
+    values : id -> parameter -> value in its unit, and "signal" -> channel; an id may be followed by ":" and a word, so that
+        one effect can sit on several signals
+    device : id, path or text of the device, see `preset`
 
     Raises
     ------

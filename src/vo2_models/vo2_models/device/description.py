@@ -237,7 +237,11 @@ class DeviceDescription:
 
 
 def preset(name: str | Path) -> DeviceDescription:
-    """Return a device by the id of a shipped one, the path of a device file, or the text that a model holds of it.
+    """Return the description of a device.
+
+    Parameters
+    ----------
+    name : id of a shipped one, path of a device file, or the text that a model holds of it
 
     Raises
     ------
@@ -276,7 +280,12 @@ def _of_text(text: str) -> DeviceDescription:
 
 
 def described(document: Any, where: str) -> DeviceDescription:
-    """Return the description of a file's content; `where` stands in front of what is wrong with it.
+    """Return the description of a device.
+
+    Parameters
+    ----------
+    document : content of its file
+    where : what stands in front of what is wrong with it
 
     Raises
     ------

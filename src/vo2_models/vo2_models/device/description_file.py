@@ -21,7 +21,16 @@ Check = Callable[[Any, str], Any]
 
 
 def read_device_file(path: Path) -> Document:
-    """Return the content of a YAML file; raise a `ValueError` that names the file where it cannot be read."""
+    """Return the content of a device file, as it stands there.
+
+    Parameters
+    ----------
+    path : of the YAML file
+
+    Raises
+    ------
+    ValueError : the file cannot be read, or holds no mapping.
+    """
     document = read_yaml(path)
     if not isinstance(document, dict):
         raise ValueError(f"{path}: found {type(document).__name__}, need keys and values: {', '.join(_KEYS)}")
@@ -30,6 +39,11 @@ def read_device_file(path: Path) -> Document:
 
 def check_document(document: Any, where: str) -> Document:
     """Return a device file's content with all numbers as floats and all ranges as pairs.
+
+    Parameters
+    ----------
+    document : what the YAML file holds
+    where : its name, for the messages
 
     Raises
     ------

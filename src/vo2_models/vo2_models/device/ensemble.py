@@ -61,7 +61,12 @@ def population(
 def sort_population(
     alpha: NDArray[np.float64], beta: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return (2, n) sorted heating and cooling temperatures and (2, n) the domains they belong to."""
+    """Return (2, n) sorted heating and cooling temperatures [degC] and (2, n) the domains they belong to.
+
+    Parameters
+    ----------
+    alpha, beta : (n,) temperatures at which a domain switches on heating and on cooling [degC]
+    """
     orders = np.array([np.argsort(alpha, kind="stable"), np.argsort(beta, kind="stable")])
     return np.ascontiguousarray([alpha[orders[0]], beta[orders[1]]]), orders
 

@@ -106,17 +106,17 @@ _apart: Any = intrinsic(_apart_codegen)
 
 
 def move(v: float, packed: Floats, memory: Floats, make: bool) -> float:
-    """Output of a law at the input v [degC]; the memory moves there where `make` is true. In compiled code only."""
+    """Return the output of a `packed` law at the input v [degC]; the memory moves there if `make`; in compiled code."""
     raise NotImplementedError
 
 
 def middle(v: float, packed: Floats) -> float:
-    """Output of a law half way between the two major branches at the input v [degC]. In compiled code only."""
+    """Return the output of a `packed` law half way between its major branches at the input v [degC]; in compiled code."""
     raise NotImplementedError
 
 
 def has_law(packed: Floats) -> bool:
-    """Whether there is a law.
+    """Return whether there is a law.
 
     Parameters
     ----------

@@ -102,7 +102,7 @@ def _effect_parameters() -> tuple[Parameter, ...]:
 
 
 def fitted_names() -> tuple[str, ...]:
-    """Names (without `model.`) that can have an uncertainty: scalars and the arrays of both banks."""
+    """Return the names (without `model.`) that can have an uncertainty: scalars and the arrays of both banks."""
     banks = [
         p.name.removeprefix("model.")
         for section in _BANKS

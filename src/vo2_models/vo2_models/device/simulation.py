@@ -59,7 +59,7 @@ Floats = NDArray[np.float64]
 
 
 def nominal_coefficients(device: DeviceDescription) -> Floats:
-    """Return the coefficients of the preset's driver and thermal model, with everything else neutral."""
+    """Return the coefficients of the driver and thermal model of a `device`, with everything else neutral."""
     c = neutral()
     c[Coefficient.RANGE_LOW], c[Coefficient.RANGE_HIGH] = device.current_range
     c[Coefficient.AMBIENT] = device.ambient
@@ -72,12 +72,12 @@ def nominal_coefficients(device: DeviceDescription) -> Floats:
 
 
 def white_noise(seed: int, count: int) -> Floats:
-    """Return (count, 4) standard normal numbers, one independent stream per sensor."""
+    """Return (count, 4) standard normal numbers, one independent stream per sensor, by the seed."""
     return np.column_stack([generator.standard_normal(count) for generator in noise_generators(seed)])
 
 
 def noise_generators(seed: int) -> list[np.random.Generator]:
-    """One generator per sensor channel; drawing in pieces gives the same numbers as drawing at once."""
+    """Return one generator per sensor channel, by the seed; drawing in pieces gives the numbers of drawing at once."""
     return [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(len(CHANNELS))]
 
 

@@ -13,6 +13,11 @@ __all__ = ["surrogate_of_temperature", "temperature_of_surrogate"]
 def temperature_of_surrogate(device: str, current: ArrayLike) -> NDArray[np.float64]:
     """Return the temperature [degC] (same shape) that the current [A] holds at steady state: T = T0 + k1 i + k2 i^2.
 
+    Parameters
+    ----------
+    device : see `preset`
+    current : [A], any shape
+
     >>> round(float(temperature_of_surrogate("integrated", 8.49e-3)), 2)
     94.8
     """
@@ -26,6 +31,11 @@ def surrogate_of_temperature(device: str, temperature: ArrayLike) -> NDArray[np.
 
     Where the heater can only heat, a temperature below ambient gives 0 A. Of both gains the root is taken on the side
     of the operating range.
+
+    Parameters
+    ----------
+    device : see `preset`
+    temperature : [degC], any shape
 
     >>> round(1e3 * float(surrogate_of_temperature("integrated", 94.8)), 2)
     8.49

@@ -42,7 +42,7 @@ VARIABLE = "VO2_EFFECTS"
 
 
 def add_effects_option(parser: argparse.ArgumentParser) -> None:
-    """Give a command the option `--effects DIR`; it counts from the moment it is read, before anything is simulated."""
+    """Give the `parser` of a command the option `--effects DIR`; it counts from the moment it is read."""
     parser.add_argument(
         "--effects",
         type=Path,
@@ -84,7 +84,16 @@ def _modules() -> Iterator[ModuleType]:
 
 
 def module_of(file: Path) -> ModuleType:
-    """Import one effect file; raise a `ValueError` with file and line for anything that it raises."""
+    """Import one effect file and return the module.
+
+    Parameters
+    ----------
+    file : of the effect
+
+    Raises
+    ------
+    ValueError : the file is no module, or raises something itself.
+    """
     name = f"vo2_effects_{file.stem}"
     spec = importlib.util.spec_from_file_location(name, file)
     if spec is None or spec.loader is None:
@@ -126,6 +135,10 @@ def load_effect(module: ModuleType) -> Effect:
 
 def check_hooks(record: Effect) -> None:
     """Compile each hook by itself, so that what is wrong in it is told with file and hook.
+
+    Parameters
+    ----------
+    record : with its hooks
 
     Raises
     ------
@@ -182,7 +195,16 @@ def effect_ids(device: str | None = None) -> tuple[str, ...]:
 
 
 def effect(name: str) -> Effect:
-    """Return one effect; raise a `ValueError` that lists the known ones."""
+    """Return one effect of the catalogue.
+
+    Parameters
+    ----------
+    name : id
+
+    Raises
+    ------
+    ValueError : lists the known ids.
+    """
     if name not in effects():
         raise ValueError(f"effect: found {name!r}, need one of {', '.join(effects())}")
     return effects()[name]

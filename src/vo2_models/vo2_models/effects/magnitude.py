@@ -105,6 +105,16 @@ def magnitudes(effect: Effect, device: DeviceDescription, signal: str = "") -> R
     """Return parameter -> (low, high) of clearly visible magnitudes of an effect on a device.
 
     From the device's file, else as written for a shipped device, else scaled from one that is.
+
+    Parameters
+    ----------
+    effect : of the catalogue
+    device : that it is to act on
+    signal : channel that it sits on, empty for none
+
+    Returns
+    -------
+    dict : parameter -> (low, high) in its unit; empty where nothing is written for any device
     """
     for key in (f"{effect.id}:{signal}", effect.id):
         if key in device.magnitudes:

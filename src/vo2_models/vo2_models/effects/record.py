@@ -362,7 +362,16 @@ class Effect:
 def constant_of(
     name: str, default: float, unit: str, description: str, lower: float, upper: float
 ) -> Parameter:
-    """Return a `Parameter` of an effect; `default` is its neutral value."""
+    """Return a `Parameter` of an effect.
+
+    Parameters
+    ----------
+    name : as the hooks take it
+    default : neutral value, at which the effect is off
+    unit : SI unit text, 1 for a number
+    description : one line
+    lower, upper : physical bounds
+    """
     return Parameter(name, float(default), unit, description, float(lower), float(upper))
 
 

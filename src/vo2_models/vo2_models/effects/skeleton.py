@@ -70,7 +70,12 @@ def skeleton(name: str) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Console script `new-effect`; 0, or 2 with one line on standard error."""
+    """Run the command `new-effect`; return its exit status: 0, 2 on bad input.
+
+    Parameters
+    ----------
+    arguments : command line, None for that of the process
+    """
     parser = argparse.ArgumentParser(
         prog="new-effect", description="Write a commented effect file to start from."
     )

@@ -53,7 +53,12 @@ def composite_step(resistance, inverse, deflection, thermal, table, state):
 
 
 def searched_temperatures(device: str) -> tuple[float, float]:
-    """Temperatures that the inverse of a resistance law searches on the device, as `preset` takes it [degC]."""
+    """Return the lowest and highest temperature [degC] that the inverse of a resistance law searches on a device.
+
+    Parameters
+    ----------
+    device : see `preset`
+    """
     nominal = preset(device)
     ends = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
     return min(ends[0] - _MARGIN_K, nominal.ambient - _MARGIN_K), ends[1] + _MARGIN_K
