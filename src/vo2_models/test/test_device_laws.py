@@ -5,7 +5,7 @@ import pytest
 from vo2_models.device import PARAMETERS, DeviceModel
 from vo2_models.hysteresis.bouc_wen import BoucWen
 from vo2_models.hysteresis.domains import DomainEnsemble
-from vo2_models.hysteresis.laws import FILED
+from vo2_models.hysteresis.laws import ADDED, FILED
 from vo2_models.hysteresis.limiting_loop import LimitingLoop
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.hysteresis.preisach import NonMonotonicPreisach, PreisachOperator
@@ -25,6 +25,7 @@ LAWS = {
     "domains": DomainEnsemble(
         np.linspace(55.0, 70.0, 60), np.linspace(50.0, 60.0, 60), None, 1.0, -5.3, -4.1, [0.0, 1e-3]
     ),
+    **ADDED,
 }
 NAMES = pytest.mark.parametrize("name", sorted(LAWS))
 CURRENT = np.repeat(np.random.default_rng(2).uniform(4e-3, 8e-3, 40), 6)

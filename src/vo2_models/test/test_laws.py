@@ -1,13 +1,15 @@
 """Every hysteresis law behind the one protocol: stream, batch, peek, memory, inverse, model file, compiled use."""
 
+import sys
+
 import numpy as np
 import pytest
 from numba import njit
-from vo2_models.hysteresis import CPI, EGPI, GPI, Polynomial, TanhEnvelopes
+from vo2_models.hysteresis import CPI, EGPI, GPI, Polynomial, TanhEnvelopes, laws
 from vo2_models.hysteresis.bouc_wen import BoucWen
 from vo2_models.hysteresis.domains import DomainEnsemble
 from vo2_models.hysteresis.law import LawInverse
-from vo2_models.hysteresis.laws import LAWS, bank_parameters, law_from_parameters, law_parameters
+from vo2_models.hysteresis.laws import ADDED, LAWS, bank_parameters, law_from_parameters, law_parameters
 from vo2_models.hysteresis.limiting_loop import LimitingLoop
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.hysteresis.preisach import NonMonotonicPreisach, PreisachOperator
@@ -41,7 +43,7 @@ def _laws():
     }
 
 
-EXAMPLES = _laws()
+EXAMPLES = {**_laws(), **ADDED}
 NAMES = pytest.mark.parametrize("name", sorted(EXAMPLES))
 
 
@@ -187,3 +189,38 @@ def test_any_law_goes_into_another_compiled_loop(name):
 def test_the_bank_of_a_fitted_model_is_the_model():
     for name in ("gpi", "egpi"):
         assert EXAMPLES[name].bank().run(INPUTS) == pytest.approx(EXAMPLES[name].run(INPUTS), abs=1e-12)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty folder of laws."""
+    monkeypatch.setattr(laws, "__path__", [str(tmp_path)])
+    yield tmp_path
+    for file in tmp_path.glob("*.py"):
+        sys.modules.pop(f"{laws.__name__}.{file.stem}", None)
+
+
+OWN = """
+from vo2_models.hysteresis.bouc_wen import BoucWen
+
+class Own(BoucWen):
+    name = "own"
+
+EXAMPLE = Own(0.3, 0.8, 1.5, 2.0, [0.1, 0.02])
+"""
+
+
+def test_a_file_in_the_folder_is_a_law(folder):
+    (folder / "own.py").write_text(OWN)
+    assert type(laws._added()["own"]).__name__ == "Own"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("X = 1\n", "other.py: found EXAMPLE = None, need one law"), (OWN, "found the name own twice")],
+)
+def test_a_file_that_is_no_law_is_refused(folder, text, said):
+    (folder / "a_own.py").write_text(OWN)
+    (folder / "other.py").write_text(text)
+    with pytest.raises(ValueError, match=said):
+        laws._added()

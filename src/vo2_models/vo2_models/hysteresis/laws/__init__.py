@@ -1,8 +1,14 @@
-"""The hysteresis laws by name, and the law of a section of a model file."""
+"""The hysteresis laws by name, and the law of a section of a model file.
+
+To add a law, add a file to this folder that ends with `EXAMPLE`, one such law over a temperature in degC, with the output
+-log10 R: model files, nodes, devices and fits know its class from then on, and the tests of the protocol run on the example.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
+from pkgutil import iter_modules
 
 from vo2_models.hysteresis.bouc_wen import BoucWen
 from vo2_models.hysteresis.domains import DomainEnsemble
@@ -14,12 +20,37 @@ from vo2_models.hysteresis.preisach.nonmonotonic import NonMonotonicPreisach
 from vo2_models.hysteresis.preisach.operator import PreisachOperator
 from vo2_models.parameters import Parameter, Value
 
-__all__ = ["FILED", "LAWS", "bank_parameters", "law_from_parameters", "law_parameters"]
+__all__ = ["ADDED", "FILED", "LAWS", "bank_parameters", "law_from_parameters", "law_parameters"]
 
-FILED: Mapping[str, type[Law]] = {
-    law.name: law
-    for law in (PlayBank, PreisachOperator, NonMonotonicPreisach, BoucWen, LimitingLoop, DomainEnsemble)
-}
+
+def _added() -> dict[str, Law]:
+    found: dict[str, Law] = {}
+    for name in sorted(module.name for module in iter_modules(__path__)):
+        module = import_module(f"{__name__}.{name}")
+        example = getattr(module, "EXAMPLE", None)
+        if not isinstance(example, Law):
+            raise ValueError(
+                f"{module.__file__}: found EXAMPLE = {example!r}, need one law of the class that it defines"
+            )
+        if example.name in found:
+            raise ValueError(f"{module.__file__}: found the name {example.name} twice, need another")
+        found[example.name] = example
+    return found
+
+
+ADDED: Mapping[str, Law] = _added()
+"""Name -> example of the law of each file in this folder."""
+KERNEL_SOURCES = tuple(str(import_module(type(law).__module__).__file__) for law in ADDED.values())
+"""Files that are part of every kernel in which any law may run."""
+_OWN: tuple[type[Law], ...] = (
+    PlayBank,
+    PreisachOperator,
+    NonMonotonicPreisach,
+    BoucWen,
+    LimitingLoop,
+    DomainEnsemble,
+)
+FILED: Mapping[str, type[Law]] = {law.name: law for law in (*_OWN, *(type(law) for law in ADDED.values()))}
 """Name in a model file -> class. GPI and EGPI are written as the bank of plays that they are."""
 
 LAWS: Mapping[str, type[Law]] = {**FILED, CPI.name: CPI, GPI.name: GPI, EGPI.name: EGPI}
