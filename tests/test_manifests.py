@@ -12,6 +12,7 @@ PACKAGES = sorted(path.parent for path in SOURCES.glob("*/package.xml"))
 KEYS = {
     "control": "python-control-pip",
     "hypothesis": "python3-hypothesis",
+    "jinja2": "python3-jinja2",
     "lz4": "python3-lz4",
     "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",

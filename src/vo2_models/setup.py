@@ -11,7 +11,7 @@ setup(
     name=NAME,
     version=PACKAGE.findtext("version"),
     packages=find_packages(exclude=["test"]),
-    package_data={NAME: ["py.typed", "**/*.yaml", "**/*.css", "**/*.xml"]},
+    package_data={NAME: ["py.typed", "**/*.yaml", "**/*.html", "**/*.css", "**/*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml", "CHANGELOG.rst", "LICENSE"]),

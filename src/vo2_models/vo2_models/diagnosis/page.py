@@ -10,7 +10,7 @@ from vo2_models.diagnosis.nominal import JUDGED_UNIT
 from vo2_models.diagnosis.result import Diagnosis, NamedEffect
 from vo2_models.diagnosis.stages import Study
 from vo2_models.page.figures import figure_html, new_figure
-from vo2_models.page.page import page, paragraph, section, table
+from vo2_models.page.page import page, paragraph, section, subsection, table
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
 __all__ = ["report_page"]
@@ -214,7 +214,6 @@ def _moved(diagnosis: Diagnosis) -> str:
 def _effect(effect: NamedEffect) -> str:
     name = effect.id.replace("_", " ") + (f" on {SHOWN[effect.signal][0]}" if effect.signal else "")
     parts = [
-        f"<h3>{name} (probability {effect.probability:.2f})</h3>",
         paragraph(f"Family: {effect.family}. Form: {effect.form}."),
         *(
             [paragraph(f"Not told from {', '.join(effect.siblings)} by these recordings.")]
@@ -230,7 +229,7 @@ def _effect(effect: NamedEffect) -> str:
             for key, e in effect.parameters.items()
         ]
         parts.append(table("Parameters", ("parameter", "value", "standard deviation", "unit"), rows))
-    return "\n".join(parts)
+    return subsection(f"{name} (probability {effect.probability:.2f})", *parts)
 
 
 def _gain(study: Study, diagnosis: Diagnosis) -> str:

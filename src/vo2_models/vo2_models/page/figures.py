@@ -12,6 +12,8 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
+from vo2_models.page.page import figure as figure_part
+
 __all__ = ["COLOURS", "LINES", "figure_html", "new_figure"]
 
 COLOURS = {
@@ -65,4 +67,4 @@ def figure_html(figure: Figure, caption: str) -> str:
     svg = svg[svg.index("<svg") :]
     label = html.escape(caption, quote=True)
     svg = re.sub(r"^<svg ", f'<svg role="img" aria-label="{label}" ', svg, count=1)
-    return f"<figure>\n{svg}\n<figcaption>{html.escape(caption)}</figcaption>\n</figure>"
+    return figure_part(svg, caption)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 from vo2_models.effects import effect, effect_ids
-from vo2_models.page.page import paragraph, section, table
+from vo2_models.page.page import formula, paragraph, section, table
 
 __all__ = ["Concealed", "Outcome", "check_choice", "conceal", "diagnosis_section", "failed_section", "judge"]
 
@@ -134,7 +133,7 @@ def diagnosis_section(
         parts.append(
             paragraph(f"{each['id']}{place}, probability {each['probability']:.2f}. {each['statement']}")
         )
-        parts.append(f"<p><code>{html.escape(each['equation'])}</code></p>")
+        parts.append(formula(each["equation"]))
         if each["parameters"]:
             rows = [
                 [name, f"{p['value']:.4g}", f"{p['std']:.2g}", p["unit"]]
