@@ -96,7 +96,8 @@ def breakdown(problem: LinearisedProblem, residual: Floats, *, floor: float = 1.
                 spectrum, frequencies = above, frequency
             else:
                 spectrum = spectrum + np.interp(frequencies, frequency, above)
-        assert spectrum is not None
+        if spectrum is None:
+            raise ValueError(f"{channel}: found no samples, need some")
         joined = {k: np.concatenate(v) for k, v in pieces.items()}
         energy = joined["energy"]
         total = float(np.sum(energy))

@@ -77,6 +77,10 @@ def library(device: str, dt: float) -> list[Excitable]:
 
     total = SAMPLES * dt
     span = abs(hot - cold)
+    if not span > 0:
+        raise ValueError(
+            f"device {device}: found the operating range {cold} to {hot}, need two different ends"
+        )
     found = []
 
     def ramps(name: str, temperatures: Floats, share: float = 0.9) -> None:
@@ -117,7 +121,6 @@ def library(device: str, dt: float) -> list[Excitable]:
             centre, 0.08 * (high - low), (1 / (0.2 * total), min(0.3 / dt, 6 / tau)), 0.9 * total, dt
         )
         found.append(Excitable(f"chirp {name} the transition", at(wave), dt))
-    assert span > 0
     return found
 
 
@@ -141,7 +144,8 @@ def propose(
         distance = _predicted(problem, nominal, first, second, current, part)
         if best is None or distance > best[0]:
             best = (distance, excitable)
-    assert best is not None
+    if best is None:
+        raise ValueError("next experiment: found no excitation, need at least one")
     distance, excitable = best
     now = float(np.sqrt(max(abs(second.chi_square - first.chi_square), 0.0)))
     records = {h.record.id: h.record for e in (first, second) for h in e.hypotheses}

@@ -140,7 +140,8 @@ def _loop_shape(nominal: Nominal, channel: str) -> LoopShape:
                     dict(zip(digest.by_lag, means.T, strict=True)),
                 )  # fmt: skip
                 best = (score, shape)
-    assert best is not None
+    if best is None:
+        raise ValueError("loop shapes: found no candidate of ROUGHNESS and DOMAINS, need at least one")
     return best[1]
 
 
