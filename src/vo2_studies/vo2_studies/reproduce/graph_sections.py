@@ -102,7 +102,10 @@ def peltier_section(
     context.progress("calibrating the device", 0.0)
     device = chapter8.device(seed)
     _, parameters = identify(device, seed)
-    operating = calibrate(device, seed).operating_a
+    calibration = calibrate(device, seed)
+    operating = calibration.operating_a
+    # the polynomial of 8.2 goes through the major loop, not through the recording that the model is fitted to
+    parameters |= calibration.sensing.to_parameters()
     wanted, lead = reference(kind)
     limits: dict[str, Value] = {"limits.lower_a": LIMITS.lower_a, "limits.upper_a": LIMITS.upper_a}
     gains = {
