@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 from vo2_models.device import DeviceModel
 from vo2_models.device.coefficients import HUGE, blocks
 from vo2_models.diagnosis.breakdown import breakdown, locate
+from vo2_models.diagnosis.courses import course_columns, gain_of_course, with_courses
 from vo2_models.diagnosis.current_reading import as_commanded, between_samples, current_reading
 from vo2_models.diagnosis.explain import Explanation, fit_jointly, score, switched
 from vo2_models.diagnosis.hypotheses import MAGNITUDE_STEP, Hypothesis, hypotheses, windowed
@@ -21,6 +22,7 @@ from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.part import prepare
 from vo2_models.diagnosis.problem import QUICKEST, linearise_problem
 from vo2_models.diagnosis.propagate_correction import corrected_film, propagate_correction
+from vo2_models.diagnosis.report import odds_of_rival
 from vo2_models.diagnosis.tangent import Tangent
 from vo2_models.effects import effects
 from vo2_models.hysteresis.play_bank import PlayBank
@@ -44,8 +46,13 @@ def _blocks() -> tuple[Tangent, np.ndarray]:
     return Tangent(((slice(0, 6), first), (slice(6, 11), second)), thermal), dense
 
 
-def test_a_tangent_in_blocks_is_the_dense_matrix() -> None:
+@pytest.mark.parametrize("bent", [False, True])
+def test_a_tangent_in_blocks_is_the_dense_matrix(bent) -> None:
     tangent, dense = _blocks()
+    if bent:  # the last of the dense columns are the constants', in both
+        tangent = replace(tangent, thermal=dense[:, 6:], courses=dense[:, 5:6])
+        weights = np.arange(7.0)
+        assert np.allclose(tangent.of_courses(weights), 5.0 * dense[:, 5])
     rng = np.random.default_rng(6)
     vectors, weights = rng.normal(size=(13, 4)), rng.normal(size=(7, 2))
     assert tangent.shape == dense.shape
@@ -254,6 +261,44 @@ def _changed(changes: dict[str, dict[str, float | str]], size: int = 3000, ar: t
     time = dt * np.arange(size)
     recording = Recording(time, {HEATER_CURRENT: current, RESISTANCE: 10.0**shown}, "integrated")
     return linearise_problem(nominal, [prepare(recording, nominal)])
+
+
+@pytest.mark.parametrize(("swings", "absorbed"), [(2.5, True), (40.0, False)])
+def test_a_gain_may_take_any_slow_course(swings, absorbed) -> None:
+    problem = _changed({})
+    hypothesis = next(
+        h
+        for h in hypotheses(problem, "integrated", problem.residual)
+        if h.key == f"sensor_gain_drift:{RESISTANCE}"
+    )
+    past = np.arange(problem.weight.size) / problem.weight.size
+    gain = np.log10(1.0 + 0.02 * np.sin(2.0 * np.pi * swings * past)) / 1e-3  # in noise levels
+    bent = with_courses(problem, [hypothesis])
+    assert bent.courses == (hypothesis.key,)
+    left = [p.chi_square(gain) for p in (problem, bent)]
+    assert (left[1] < 0.02 * left[0]) is absorbed
+    columns = course_columns(problem, hypothesis)
+    told = gain_of_course(problem, columns, problem.apply_inverse_covariance(gain))
+    assert told == pytest.approx(left[0] - left[1], rel=0.05, abs=0.02 * left[0])
+
+
+def test_evidence_from_one_block_says_less_than_from_all() -> None:
+    problem = _changed({})
+    none = np.zeros(problem.weight.size)
+    rng = np.random.default_rng(2)
+    all_over = 0.5 * rng.choice([-1.0, 1.0], none.size)
+    at_once = np.where(np.arange(none.size) < 125, 5.0 * all_over, 0.0)
+    assert odds_of_rival(problem, none, none) == 1.0
+    assert odds_of_rival(problem, none, all_over) < 1e-6
+    assert odds_of_rival(problem, none, at_once) > 1e-2
+    assert odds_of_rival(problem, all_over, none) == 1.0  # no better than the other
+
+
+def test_what_predicts_the_rest_makes_a_name_improbable() -> None:
+    limits = Limits()
+    certain, doubtful, hopeless = (limits.probability_of_something_else(x, 0.95) for x in (0.0, 0.03, 0.3))
+    assert certain < 0.1 < doubtful < 0.6 < hopeless
+    assert limits.probability_of_something_else(0.0, 0.5) > certain
 
 
 def test_a_refit_ends_where_no_small_change_fits_better() -> None:

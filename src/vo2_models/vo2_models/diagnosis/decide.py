@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device.coefficients import HUGE
+from vo2_models.diagnosis.adequacy import Adequacy, adequacy_of
 from vo2_models.diagnosis.breakdown import Breakdown, breakdown
 from vo2_models.diagnosis.drift import Drift, drift_of
 from vo2_models.diagnosis.explain import Explanation, Score, score
@@ -22,12 +23,12 @@ from vo2_models.diagnosis.nonparametric_correction import (
     NonparametricCorrection,
     fit_nonparametric_correction,
 )
-from vo2_models.diagnosis.pairs import Option, bend, trace
+from vo2_models.diagnosis.pairs import Option, trace
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.read import Reading
 from vo2_models.diagnosis.result import NextExperiment
-from vo2_models.diagnosis.search import Search, completeness
+from vo2_models.diagnosis.search import Search
 
 __all__ = ["Decision", "decide"]
 
@@ -53,6 +54,8 @@ class Decision:
     proposal : what to record next
     drift : how far the constants have moved beside what is named
     mimics : effects that would look like that move, best first; none where it is small
+    adequacy : of what is named, else of the best option; None where there is no option
+    unlike_noise : whether more than noise is left, which nothing predicts
     """
 
     verdict: Literal["agrees", "drifted", "differs"]
@@ -67,16 +70,23 @@ class Decision:
     proposal: NextExperiment | None
     drift: Drift
     mimics: tuple[Hypothesis, ...]
+    adequacy: Adequacy | None = None
+    unlike_noise: bool = False
 
 
 @dataclass(frozen=True)
 class _Verdict:
-    """The first option that is admissible, or the nuisance model alone."""
+    """The first option that is admissible, or the nuisance model alone.
+
+    `shown` is the largest share of the excess that an option explains, admissible or not.
+    """
 
     option: Option | None
     judged: HeldOut
     rivals: tuple[Explanation, ...]
     remaining: float
+    adequacy: Adequacy | None
+    shown: float
 
 
 def decide(located: Located, found: Search, reading: Reading, limits: Limits, clock: Clock) -> Decision:
@@ -92,16 +102,19 @@ def decide(located: Located, found: Search, reading: Reading, limits: Limits, cl
 def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limits, clock: Clock) -> _Verdict:
     """The first admissible option, with its held-out quality."""
     problem = located.problem
-    rivals, remaining = found.singles, located.total_excess
+    rivals, remaining, adequacy = found.singles, located.total_excess, None
+    shown = 0.0
     for option in found.options:
         judged = held_out(option.final, option.chosen, reference=problem, folds=folds, tick=clock.tick)
         shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
-        admissible = _is_admissible(option, judged, problem, limits)
+        adequacy = adequacy_of(option, problem, limits)
+        shown = max(shown, adequacy.share, judged.share)
+        admissible = _is_admissible(option, judged, adequacy, limits)
         rivals, remaining = option.rivals, option.remaining
         hidden = admissible and found.hidden
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
-            return _Verdict(option, judged, rivals, remaining)
-    return _Verdict(None, held_out(problem, None, folds=folds), rivals, remaining)
+            return _Verdict(option, judged, rivals, remaining, adequacy, shown)
+    return _Verdict(None, held_out(problem, None, folds=folds), rivals, remaining, adequacy, shown)
 
 
 def _named(
@@ -129,12 +142,13 @@ def _named(
     mimics: tuple[Hypothesis, ...] = ()
     if drift.significant(limits.drift_p):
         others = [h for h in found.candidates if h.key not in chosen.keys]
-        mimics = _mimics_of_constants(score(final, others, residual, tick=clock.tick), limits)
+        held = _with_constants_held(final)
+        mimics = _mimics_of_constants(score(held, others, residual, tick=clock.tick), limits)
     return Decision(
         verdict="differs", final=final, chosen=chosen, judged=verdict.judged, rivals=verdict.rivals,
         remaining_excess=verdict.remaining, unnamed=None,
         breakdown=tuple(breakdown(final, trace(final), floor=0.0)), rival_pairs=tuple(pairs), proposal=proposal,
-        drift=drift, mimics=mimics,
+        drift=drift, mimics=mimics, adequacy=verdict.adequacy,
     )  # fmt: skip
 
 
@@ -158,8 +172,9 @@ def _unnamed(
     where, proposal = located.breakdown, None
     drift = drift_of(problem, problem.residual)
     mimics: tuple[Hypothesis, ...] = ()
-    if unnamed is None or (unnamed.share < limits.share and located.total_excess < limits.plain):
-        # more residual than noise at most, and nothing in it that predicts anything
+    described = 0.0 if unnamed is None else max(unnamed.share, verdict.shown)
+    if unnamed is None or (described < limits.share and _is_small(located, verdict.judged, limits)):
+        # more residual than noise at most, and nothing that predicts it: the fitted loops' own misfit
         unnamed, verdict_word = None, "agrees"
         if drift.significant(limits.drift_p) and not first_use:
             verdict_word = "drifted"
@@ -169,8 +184,24 @@ def _unnamed(
     return Decision(
         verdict=verdict_word, final=problem, chosen=None, judged=verdict.judged, rivals=verdict.rivals,
         remaining_excess=verdict.remaining, unnamed=unnamed, breakdown=where, rival_pairs=(), proposal=proposal,
-        drift=drift, mimics=mimics,
+        drift=drift, mimics=mimics, adequacy=verdict.adequacy,
+        unlike_noise=loud and unnamed is None,
     )  # fmt: skip
+
+
+def _with_constants_held(problem: LinearisedProblem) -> LinearisedProblem:
+    """The same problem, in which another day has moved no constant: what does as much as a move gains as much there."""
+    free = np.array([not constant.drifts for constant in problem.constants], dtype=bool)
+    nuisance = problem.nuisance
+    return replace(problem, nuisance=replace(nuisance, thermal=nuisance.thermal * free))
+
+
+def _is_small(located: Located, judged: HeldOut, limits: Limits) -> bool:
+    """Whether every channel's error beyond its noise is one that fitted loops make."""
+    span = located.nominal.span
+    return all(
+        judged.after[c] ** 2 - judged.floor[c] ** 2 < (limits.law_misfit * span[c]) ** 2 for c in judged.after
+    )
 
 
 def _mimics_of_constants(
@@ -185,16 +216,15 @@ def _mimics_of_constants(
     return tuple(h for gain, h in gains.values() if gain > max(0.5 * best, limits.faint))[:4]
 
 
-def _is_admissible(option: Option, judged: HeldOut, problem: LinearisedProblem, limits: Limits) -> bool:
-    """Whether an explanation is significant, stable, complete, inside its physical bounds, and harms no channel."""
+def _is_admissible(option: Option, judged: HeldOut, adequacy: Adequacy, limits: Limits) -> bool:
+    """Whether an explanation is significant, stable, adequate, inside its physical bounds, and harms no channel."""
     chosen = option.chosen
     return (
         _significant(chosen, limits)
         and judged.stable
-        and completeness(chosen, option.remaining, problem, limits) >= limits.complete
+        and adequacy.sufficient(limits)
         and not chosen.at_bound
         and not _worsens(option, judged)
-        and not _bends(option, limits)
     )
 
 
@@ -203,12 +233,6 @@ def _worsens(option: Option, judged: HeldOut) -> bool:
     acting = trace(option.final)
     reached = {row.channel for row in option.final.rows if float(np.sum(acting[row.where] ** 2)) > 1.0}
     return any(judged.after[c] > judged.before[c] + judged.floor[c] for c in reached)
-
-
-def _bends(option: Option, limits: Limits) -> bool:
-    """Whether what is named as straight in time leaves a bend that would count as a second effect."""
-    leftover = option.final.count * max(option.remaining, 0.0)
-    return bend(option) > max(limits.gain, limits.second * leftover)
 
 
 def _stands_for_constants(option: Option, singles: Sequence[Explanation], limits: Limits) -> bool:
@@ -228,10 +252,11 @@ def _significant(explanation: Explanation, limits: Limits) -> bool:
     return all(
         explanation.distance(index) >= limits.sigmas
         for index, hypothesis in enumerate(explanation.hypotheses)
-        if hypothesis.magnitudes
+        if hypothesis.magnitudes and hypothesis.key not in explanation.courses
     ) and all(
         explanation.std(index, name)
-        < limits.switching * abs(values[hypothesis.switches[-1]] - values[hypothesis.switches[0]])
+        < limits.switching
+        * abs(values.get(hypothesis.switches[-1], HUGE) - values.get(hypothesis.switches[0], -HUGE))
         for index, (hypothesis, values) in enumerate(
             zip(explanation.hypotheses, explanation.values, strict=True)
         )

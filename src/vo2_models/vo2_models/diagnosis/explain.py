@@ -70,6 +70,7 @@ class Explanation:
     tangent : (N, p) its derivative
     at_bound : parameters that ended at a physical bound
     shift : how far the nuisance model moved its thermal parameters, in units of their columns
+    courses : keys of hypotheses that may bend in time
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -82,6 +83,7 @@ class Explanation:
     tangent: Floats = field(repr=False)
     at_bound: tuple[str, ...] = ()
     shift: Floats = field(default_factory=lambda: np.zeros(0))
+    courses: tuple[str, ...] = ()
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -357,7 +359,7 @@ def fit_jointly(
     )
     return Explanation(
         tuple(hypotheses), tuple(values), chi, problem.residual_chi_square - chi, covariance, coordinates, change,
-        descent.tangent, at_bound, shift,
+        descent.tangent, at_bound, shift, problem.courses,
     )  # fmt: skip
 
 

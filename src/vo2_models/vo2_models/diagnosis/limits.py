@@ -7,6 +7,7 @@ the noise or on the device's own misfit is measured on the data instead and is n
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from math import exp, log10
 from typing import Any
 
 __all__ = ["Limits"]
@@ -55,27 +56,42 @@ class Limits:
     )
     complete: float = _limit(
         0.95,
-        "share of the excess beyond `slack` that an adequate answer explains: on devices of the own simulator right names "
-        "left up to 0.022 of it, wrong names of physics outside the catalogue (a compressing lever, a stiffening beam) 0.06 "
-        "and 0.19",
+        "share of what can be explained (what is explained, and what functions without a name predict of the rest on held-out "
+        "blocks) that an adequate answer explains: on devices of the own simulator right names left up to 0.022, wrong names "
+        "of physics outside the catalogue (a compressing lever, a stiffening beam) 0.06 and 0.19",
     )
-    something_else: float = _limit(
-        0.04,
-        "share of the excess left over at which the answer and something else are equally probable: between the two of "
-        "`complete`",
+    explained: float = _limit(
+        0.5,
+        "least share of the excess that a name explains: beside it the own misfit of the fitted loops may be as large, and "
+        "the best name of unchanged devices whose coercivity depends on the rate explained up to 0.13",
     )
+    law_misfit: float = _limit(
+        0.05,
+        "largest error of a channel, as a share of its range, that fitted loops make of a recording unlike the calibration: "
+        "published laws reach 0.01 to 0.03",
+    )
+    else_base: float = _limit(4.2, "log odds of something else: constant; see `else_open`")
+    else_open: float = _limit(
+        3.0,
+        "the same for each decade of the share that functions without a name predict of the rest",
+    )
+    else_left: float = _limit(2.0, "the same for the share of the excess that nothing predicts")
     dominated: float = _limit(
         0.5,
         "share of a name's gain that another effect alone must not reach: an equation a little off has no rival",
-    )
-    complete_pair: float = _limit(0.95, "`complete` for two names: two wrong ones together fit much")
-    complete_matched: float = _limit(
-        0.8, "the same where no other pair with one of the two explains `dominated` of what the other adds"
     )
     share: float = _limit(
         0.25,
         "least share of a name's gain that shows on held-out blocks, and of the excess that a correction without a name "
         "removes there: false names explained 0.04 to 0.06, true ones 0.5 to 0.65 in the median",
+    )
+    course: float = _limit(
+        0.5,
+        "share of the best effect's gain from which a drift is tried with any course in time: half of it at least",
+    )
+    bend: float = _limit(
+        0.02,
+        "share of a drift's gain that its bend must add, beyond `gain`, to be told: less is the pattern's own curvature",
     )
     second: float = _limit(0.55, "a second effect explains at least this share of what the first leaves over")
     second_of_all: float = _limit(
@@ -94,9 +110,6 @@ class Limits:
         "where nothing is named, a recording differs from this residual power beyond the noise on: twice `slack`",
     )
     channel_excess: float = _limit(0.4, "the same of a single channel, of several to choose from")
-    plain: float = _limit(
-        0.4, "excess below which a residual that nothing predicts on held-out blocks is noise or misfit"
-    )
     rival: float = _limit(
         25.0, "difference of chi-square below which two effects are not told apart: 5 sigma"
     )
@@ -143,6 +156,13 @@ class Limits:
     def least_gain(self, *, evident: bool) -> float:
         """Least drop of chi-square with which a hypothesis is named."""
         return self.evident_gain if evident else self.gain
+
+    def probability_of_something_else(self, open_share: float, explained: float) -> float:
+        """Return the probability that a name is wrong by what it leaves: shares that can be, and that are explained."""
+        odds = (
+            self.else_base + self.else_open * log10(open_share + 0.003) + self.else_left * (1.0 - explained)
+        )
+        return 1.0 / (1.0 + exp(-odds))
 
     def with_provenance(self) -> dict[str, dict[str, float | str]]:
         """Return name -> value and provenance, for `diagnosis.json`."""

@@ -16,6 +16,7 @@ from vo2_models.diagnosis.nuisance import loop_shapes
 from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.read import Reading
+from vo2_models.recording import HEATER_CURRENT
 
 __all__ = ["Located", "locate"]
 
@@ -101,11 +102,16 @@ def _refine_noise_model(
     )
     before = nominal.noise
     noise = dict(before)
+    parts = problem.parts
     for channel in dict.fromkeys(row.channel for row in problem.rows):
         rows = [row for row in problem.rows if row.channel == channel]
         power = [float(np.mean(left[row.where][problem.weight[row.where] > 0] ** 2)) for row in rows]
         if not all(0.3 < p < limits.quiet for p in power):
             continue
+        if (
+            channel == HEATER_CURRENT
+        ):  # a reading that follows the command to its noise is of the same moments
+            parts = tuple(replace(part, read_late=False) for part in problem.parts)
         known = noise[channel]
         plain = [known.color(left[row.where]) for row in rows]
         found = fit_noise(
@@ -113,7 +119,7 @@ def _refine_noise_model(
         )
         if 0.5 < found.level / known.level < 1.6:
             noise[channel] = found
-    if noise == dict(nominal.noise):
+    if noise == dict(nominal.noise) and parts is problem.parts:
         return nominal, problem
     nominal = replace(nominal, noise=noise)
     posterior = reading.shapes if reading.first_use else loop_shapes(nominal)
@@ -124,7 +130,7 @@ def _refine_noise_model(
     }
     return nominal, linearise_problem(
         nominal,
-        problem.parts,
+        parts,
         constants=problem.constants,
         shift=problem.origin,
         shapes=shapes,

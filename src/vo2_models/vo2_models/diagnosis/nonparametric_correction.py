@@ -56,11 +56,13 @@ class NonparametricCorrection:
     shapes : groups in use, most important first
     share : of the whole excess removed on held-out blocks
     prediction : (N,) whitened, each sample predicted from the other fold
+    removed : energy that it removes on held-out blocks, in noise powers of a sample
     """
 
     shapes: tuple[Shape, ...]
     share: float
     prediction: Floats
+    removed: float = 0.0
 
 
 def fit_nonparametric_correction(
@@ -118,7 +120,9 @@ def fit_nonparametric_correction(
         before += excess
         after += best_energy - count
     share = float(np.clip((before - after) / before, 0.0, 1.0)) if before > 0 else 0.0
-    return NonparametricCorrection(tuple(sorted(shapes, key=lambda s: -s.share)), share, prediction)
+    return NonparametricCorrection(
+        tuple(sorted(shapes, key=lambda s: -s.share)), share, prediction, max(before - after, 0.0)
+    )
 
 
 def _cross_predicted(

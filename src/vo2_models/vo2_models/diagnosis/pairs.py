@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from vo2_models.diagnosis.courses import with_courses
 from vo2_models.diagnosis.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
 from vo2_models.diagnosis.hypotheses import Hypothesis, windowed
 from vo2_models.diagnosis.limits import Limits
@@ -20,7 +21,7 @@ from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
 
-__all__ = ["Option", "bend", "option_of", "pair_of", "refit_about", "trace"]
+__all__ = ["Option", "option_of", "pair_of", "refit_about", "trace"]
 
 Floats = NDArray[np.float64]
 Tick = Callable[[], None]
@@ -63,31 +64,8 @@ class Option:
 def trace(final: LinearisedProblem) -> Floats:
     """What the effects that the problem is about change in the recording, (N,) whitened, without noise."""
     plain = replace(final, included={})
-    return -plain.stack(plain.responses({}), final.nominal_responses)
-
-
-def bend(option: Option) -> float:
-    """Largest drop of chi-square from letting an effect that is straight in time bend: its change times 1, t and t^2, t the time.
-
-    0 where no effect of the explanation is straight.
-    """
-    final, chosen = option.final, option.chosen
-    residual = final.residual - chosen.deviation
-    rest = final.apply_inverse_covariance(residual)
-    time = np.empty(final.weight.size)
-    for row, part, _ in final.iterate():
-        time[row.where] = np.linspace(0.0, 1.0, part.size)
-    found = 0.0
-    for hypothesis in chosen.hypotheses:
-        if not hypothesis.record.straight:
-            continue
-        without = replace(final, included={k: v for k, v in final.included.items() if k != hypothesis.key})
-        own = -without.stack(without.responses({}), final.nominal_responses)
-        columns = own[:, None] * time[:, None] ** np.arange(3)
-        gram = columns.T @ final.apply_inverse_covariance(columns)
-        against = columns.T @ rest
-        found = max(found, float(against @ np.linalg.pinv(gram, hermitian=True) @ against))
-    return found
+    bent = final.nuisance.of_courses(final.fit_nuisance(final.residual)) if final.courses else 0.0
+    return bent - plain.stack(plain.responses({}), final.nominal_responses)
 
 
 def option_of(
@@ -133,6 +111,7 @@ def refit_about(
             loop_origin=loops,
             refits=problem.refits,
         )
+        about = with_courses(about, [h for h in best.hypotheses if h.key in best.courses])
         fitted = fit_jointly(about, best.hypotheses, again.values, iterations=6, tick=tick)
         if turn and fitted.chi_square > again.chi_square - SETTLES * about.count:
             break
@@ -224,7 +203,8 @@ def _joined(
     residual = about.residual - first.deviation
     left = about.apply_inverse_covariance(residual)
     others = [windowed(about, h, left) for h in candidates if h.key not in first.keys]
-    nuisance = replace(about.nuisance, thermal=np.hstack([FREE * first.tangent, about.nuisance.thermal]))
+    free = [FREE * first.tangent, *([] if about.nuisance.courses is None else [about.nuisance.courses])]
+    nuisance = replace(about.nuisance, courses=np.hstack(free))
     scores = score(replace(about, nuisance=nuisance), others, residual, tick=tick)
     promising = [s for s in scores if s.gain > _least(s, scores, limits)][:PARTNERS]
 

@@ -36,6 +36,7 @@ class Part:
     settled : whether the device was at rest at the first current before
     comb : channel -> distance of neighbouring values, where its converter is coarser than its noise
     blind : gaps so long that the film may have been anywhere meanwhile, each from its first to behind its last sample
+    read_late : whether a current that is read back may stand for any moment of its sample; False once it shows for which
     """
 
     name: str
@@ -48,6 +49,7 @@ class Part:
     settled: bool = False
     comb: Mapping[str, float] = field(default_factory=dict)
     blind: tuple[tuple[int, int], ...] = ()
+    read_late: bool = True
 
     def comb_level(self, channel: str) -> Floats | float:
         """Standard deviation that a coarse converter adds, in judged units: step / sqrt(12)."""

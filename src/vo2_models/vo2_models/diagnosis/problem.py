@@ -72,6 +72,7 @@ class LinearisedProblem:
     refits : whether the nominal device is fitted anew, so that it is linearised about its refitted loops as well
     constants : of the thermal columns, which are the last; a unit of each is its `spread`
     included : effects that the nominal responses already have
+    courses : keys of effects that may bend in time, see the module of that name
     shapes : posterior of the loop shapes behind the nuisance model
     """
 
@@ -90,6 +91,7 @@ class LinearisedProblem:
     loop_coupling: Floats = field(default_factory=lambda: np.zeros((1, 1)))
     loop_origin: Mapping[str, Floats] = field(default_factory=dict)
     refits: bool = False
+    courses: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         gram = self.nuisance.gram()
@@ -290,7 +292,7 @@ def linearise_problem(
         rough: Floats | float = 0.0
         if row.channel in shapes:
             rough = shapes[row.channel].rough_at(response.temperature)
-        elif row.channel == HEATER_CURRENT:
+        elif row.channel == HEATER_CURRENT and part.read_late:
             rough = between_samples(measured, noise.level)
         weight[row.where] = _reach(counts, len(noise.ar)) / np.sqrt(
             1.0 + (rough**2 + part.comb_level(row.channel) ** 2) / noise.level**2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from vo2_models.diagnosis.explain import Explanation
 from vo2_models.diagnosis.families import family_of_unnamed
 from vo2_models.diagnosis.hypotheses import Hypothesis
 from vo2_models.diagnosis.nominal import JUDGED_UNIT
+from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.result import (
     Candidate,
     ChannelFit,
@@ -22,7 +23,6 @@ from vo2_models.diagnosis.result import (
     MovedConstant,
     NamedEffect,
 )
-from vo2_models.diagnosis.search import completeness
 from vo2_models.diagnosis.stages import Study
 from vo2_models.effects.record import CHOICE
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
@@ -69,6 +69,9 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
         excess=_excess(study),
         seconds=study.seconds,
         decision_limits=study.limits.with_provenance(),
+        adequacy={"explained": decision.adequacy.share, "predictable": decision.adequacy.open}
+        if decision.adequacy
+        else {},
     )
 
 
@@ -133,7 +136,6 @@ def _fit(study: Study) -> dict[str, ChannelFit]:
 
 def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
     """Candidates with probabilities, and the probability of each key."""
-    count = study.located.problem.count
     everyone = list(study.decision.rivals)
     if study.decision.chosen is not None:
         everyone = [
@@ -150,10 +152,7 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
             chi[0] = (
                 min(chi[0], same[0].chi_square) if len(study.decision.chosen.keys) > 1 else same[0].chi_square
             )
-    temper = study.limits.temper * (1.0 + max(study.decision.remaining_excess, 0.0))
-    if study.reading.one_loop and study.decision.chosen is not None:
-        temper = max(temper, study.limits.temper_on_one_loop * study.decision.chosen.gain)
-    weights = probabilities(chi, [len(e.coordinates) for e in everyone], count=count, temper=temper)
+    weights = _weights(study, everyone, chi)
     otherwise = _something_else(study)
     certain = 1.0 - otherwise
     by_key: dict[str, float] = {}
@@ -201,17 +200,37 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
     return sorted([*found[:11], unknown], key=lambda c: -c.probability), by_key
 
 
+def _weights(study: Study, everyone: Sequence[Explanation], chi: Sequence[float]) -> Floats:
+    """Return the weights of explanations beside each other, which sum to one.
+
+    One effect in the place of another: by how surely the blocks of the recordings prefer it, see `odds_of_rival`. Of pairs,
+    and where nothing is named: by chi-square, tempered.
+    """
+    problem, chosen = study.located.problem, study.decision.chosen
+    temper = study.limits.temper * (1.0 + max(study.decision.remaining_excess, 0.0))
+    if study.reading.one_loop and chosen is not None:
+        temper = max(temper, study.limits.temper_on_one_loop * chosen.gain)
+    weights = probabilities(chi, [len(e.coordinates) for e in everyone], count=problem.count, temper=temper)
+    if chosen is None or len(chosen.keys) > 1:
+        return weights
+    same = next((r for r in study.decision.rivals if r.keys == chosen.keys), None)
+    if same is None:
+        return weights
+    odds = [1.0, *(odds_of_rival(problem, same.deviation, rival.deviation) for rival in everyone[1:])]
+    weights = np.maximum(weights / weights[0], odds)
+    return np.asarray(weights / np.sum(weights))
+
+
 def _something_else(study: Study) -> float:
     """Return the probability that nothing of the catalogue is the answer.
 
-    Of a named answer it grows with the share s of the excess that is left over, as s^2 / (s^2 + s0^2), s0 where both are
-    equally probable. Without a name it is one, less what the best single effect explains.
+    Of a named answer a logistic function of what is left: of the logarithm of the share that functions without a name
+    predict, and of the share that nothing predicts. Without a name it is one, less what the best single effect explains.
     """
-    chosen, limits = study.decision.chosen, study.limits
-    if chosen is None:
+    adequacy, limits = study.decision.adequacy, study.limits
+    if study.decision.chosen is None or adequacy is None:
         return 1.0 - 0.5 * _best_share(study)
-    left = 1.0 - completeness(chosen, study.decision.remaining_excess, study.located.problem, limits)
-    return float(left**2 / (left**2 + limits.something_else**2))
+    return limits.probability_of_something_else(adequacy.open, adequacy.share)
 
 
 def _best_share(study: Study) -> float:
@@ -274,7 +293,7 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
                     parameters,
                     hypothesis.signal or None,
                     record.family(hypothesis.signal),
-                    _form(hypothesis, study.decision.chosen.values[index]),
+                    _form(hypothesis, study.decision.chosen, index),
                     [theirs for ours, theirs in study.decision.rival_pairs if ours == record.id],
                 )
             )
@@ -287,10 +306,12 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
     return found
 
 
-def _form(hypothesis: Hypothesis, values: Mapping[str, float]) -> str:
+def _form(hypothesis: Hypothesis, chosen: Explanation, index: int) -> str:
     """Which of its forms an effect has: what it depends on where it has a choice, and which terms are not zero."""
     words = [hypothesis.record.id.replace("_", " ")]
-    for name, value in values.items():
+    if hypothesis.key in chosen.courses:
+        words.append("any slow course in time")
+    for name, value in chosen.values[index].items():
         parameter = hypothesis.parameter(name)
         if name in hypothesis.choices:
             words.append(f"{name} {value:g}")
@@ -385,6 +406,16 @@ def _loops_in_words(study: Study) -> list[str]:
     return found
 
 
+def _why_enough(study: Study) -> str:
+    """Say why an excess is no sign of physics."""
+    if study.decision.unlike_noise:
+        return (
+            "and no effect of the catalogue nor any function of time, temperature, rate, current or memory predicts it on blocks "
+            "that it was not fitted on: it is the fitted loops' own misfit"
+        )
+    return "no more than an unchanged device shows"
+
+
 def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -> str:
     """The answer in two or three sentences."""
     decision, excess = study.decision, study.located.excess
@@ -392,7 +423,7 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     if decision.verdict == "agrees":
         return (
             f"Simulation and recording agree{_of_what(study)}{_refitted(study)}: the residual exceeds the noise by "
-            f"{power:.0f} % of its power, no more than an unchanged device shows.{_taken_up(study)}"
+            f"{power:.0f} % of its power, {_why_enough(study)}.{_taken_up(study)}"
         )
     moved = _moved_in_words(_moved(study))
     if decision.verdict == "drifted":
@@ -420,6 +451,31 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     if pairs:
         text += " Not separable with this excitation: " + ", ".join(" / ".join(p) for p in pairs) + "."
     return text + tail
+
+
+def odds_of_rival(problem: LinearisedProblem, deviation: Floats, rival: Floats, *, blocks: int = 24) -> float:
+    """Odds, 0 to 1, of one change of the simulation against another that fits better: their tempered likelihood ratio.
+
+    The logarithm L of the likelihood ratio has the variance 2 L where the residual is noise. Its scatter S^2 is taken from
+    long blocks of the recordings: misfit that is correlated over a block counts once, however many samples it has. Tempered
+    by S^2 / (2 L), the ratio is exp(-2 L^2 / S^2).
+
+    Parameters
+    ----------
+    problem : that both were fitted in
+    deviation, rival : (N,) whitened
+    blocks : of each recording
+    """
+    left = [problem.apply_inverse_covariance(problem.residual - change) for change in (deviation, rival)]
+    ratio = 0.5 * (left[1] ** 2 - left[0] ** 2)
+    sums: dict[tuple[int, int], float] = {}
+    for row, part, _ in problem.iterate():
+        edges = np.arange(blocks) * part.size // blocks
+        for k, value in enumerate(np.add.reduceat(ratio[row.where], edges)):
+            sums[row.part, k] = sums.get((row.part, k), 0.0) + float(value)
+    each = np.array(list(sums.values()))
+    total, scatter = max(float(np.sum(each)), 0.0), float(np.std(each, ddof=1)) * np.sqrt(each.size)
+    return float(np.exp(-2.0 * (total / max(scatter, 1e-12)) ** 2))
 
 
 def probabilities(

@@ -139,7 +139,8 @@ class Diagnosis:
     """Everything `diagnosis.json` holds.
 
     `summary`, `limits` (of the data, in words), `not_excited`, `excess`, `seconds` and `decision_limits` (of the method,
-    each with its provenance) go beyond the schema.
+    each with its provenance) go beyond the schema, and `adequacy`: shares of the excess that the best answer explains, and of
+    what could be explained that functions without a name predict beyond it.
     """
 
     verdict: Literal["agrees", "drifted", "differs"]
@@ -156,6 +157,7 @@ class Diagnosis:
     excess: dict[str, float] = field(default_factory=dict)
     seconds: float = 0.0
     decision_limits: dict[str, dict[str, float | str]] = field(default_factory=dict)
+    adequacy: dict[str, float] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON types; `signal` is left out where an effect has none."""

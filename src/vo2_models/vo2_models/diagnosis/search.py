@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.absorbed import without_absorbed
+from vo2_models.diagnosis.courses import course_columns, gain_of_course, knots_of, with_courses
 from vo2_models.diagnosis.drift import drift_of
 from vo2_models.diagnosis.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
 from vo2_models.diagnosis.hypotheses import Hypothesis, hypotheses
@@ -18,7 +20,7 @@ from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
 from vo2_models.diagnosis.progress import Clock
 
-__all__ = ["Search", "completeness", "search"]
+__all__ = ["Search", "cost", "search"]
 
 SHORTLIST = 6
 """Hypotheses that are refitted in full."""
@@ -77,16 +79,57 @@ def search(
     fits = _refitted(problem, scores, limits, shortlist, clock)
     if hidden and not first_use:
         fits += _with_fixed_constants(located, candidates, limits, shortlist, clock)
+    fits += _with_courses(problem, candidates, fits, limits, clock)
     before = problem.residual_chi_square
     best: dict[str, Explanation] = {}
-    for fit in sorted(fits, key=lambda e: e.chi_square):
+    for fit in sorted(fits, key=lambda e: cost(e, problem)):
         best.setdefault(fit.keys[0], replace(fit, gain=before - fit.chi_square))
-    singles = sorted(best.values(), key=lambda e: e.chi_square + len(e.coordinates) * np.log(problem.count))
+    singles = sorted(best.values(), key=lambda e: cost(e, problem))
     options = _options(located, singles, candidates, limits, clock)
     return Search(
         tuple(candidates), tuple(scores), tuple(singles), tuple(options), hidden,
         tuple(_not_excited(scores, limits)),
     )  # fmt: skip
+
+
+def cost(explanation: Explanation, problem: LinearisedProblem) -> float:
+    """Chi-square, and for every parameter the logarithm of the number of samples; a course counts its splines."""
+    splines = knots_of(problem) * len(problem.parts) * len(explanation.courses)
+    return explanation.chi_square + (len(explanation.coordinates) + splines) * float(np.log(problem.count))
+
+
+def _with_courses(
+    problem: LinearisedProblem,
+    candidates: Sequence[Hypothesis],
+    fits: Sequence[Explanation],
+    limits: Limits,
+    clock: Clock,
+) -> list[Explanation]:
+    """Refits of effects that may take any course in time, where that could be worth a name."""
+    left = problem.apply_inverse_covariance(problem.residual)
+    most = max((fit.gain for fit in fits), default=0.0)
+    straight = {fit.keys[0]: fit for fit in fits}
+    found = []
+    for hypothesis in candidates:
+        if not hypothesis.record.course:
+            continue
+        columns = course_columns(problem, hypothesis)
+        clock.tick()
+        gain = gain_of_course(problem, columns, left)
+        known = straight.get(hypothesis.key)
+        more = gain - (known.gain if known else 0.0)
+        if gain < max(limits.course * most, limits.gain) or more < limits.gain + limits.bend * gain:
+            continue
+        bent = with_courses(problem, [hypothesis])
+        kept = {n: v for n, v in hypothesis.starts[0].items() if n not in hypothesis.magnitudes}
+        name = hypothesis.record.course  # beside any course no other power of the time
+        start = {**kept, name: known.values[0].get(name, 0.0) if known else 0.0}
+        fit = fit_jointly(bent, [hypothesis], [start], iterations=BRIEF, tick=clock.tick)
+        bend = bent.nuisance.of_courses(bent.fit_nuisance(bent.residual - fit.deviation))
+        found.append(
+            replace(fit, gain=problem.residual_chi_square - fit.chi_square, deviation=fit.deviation + bend)
+        )
+    return found
 
 
 def _refitted(
@@ -159,15 +202,34 @@ def _options(
         return []
     clock.say("linearising about the explanation")
     alone = option_of(located.nominal, problem, first, singles, tick=clock.tick)
+    alone = _in_one_switch(located, alone, limits, clock)
     clock.say("looking for a second effect")
     pair = pair_of(located.nominal, problem, alone, candidates, limits, tick=clock.tick)
     if pair is None and first.cornered:
         pair = _pair_in_place_of_one(located, alone, singles, candidates, limits, clock)
-    if pair:
-        needed = limits.complete_matched if _matched(pair, alone, limits) else limits.complete_pair
-        if completeness(pair.chosen, pair.remaining, problem, limits) >= needed:
-            return [pair, alone]
-    return [alone]
+    return [pair, alone] if pair else [alone]
+
+
+def _in_one_switch(located: Located, alone: Option, limits: Limits, clock: Clock) -> Option:
+    """The same effect gone on for good where it was taken to go off, if that fits as well.
+
+    What heats from the beginning and goes off differs from what goes on then by the temperature of the room, and that may
+    be another one every day: of the two, the one with a switch less, the room as the calibration left it.
+    """
+    problem = located.problem
+    hypothesis, values = alone.chosen.hypotheses[0], alone.chosen.values[0]
+    if not all(abs(values.get(name, HUGE)) < HUGE for name in hypothesis.switches or ("",)):
+        return alone
+    on, off = hypothesis.switches
+    once = {n: -v if n in hypothesis.magnitudes else v for n, v in values.items() if n != off}
+    turned = replace(
+        alone.chosen,
+        values=({**once, on: values[off]},),
+        coordinates=tuple(place for place in alone.chosen.coordinates if place[1] != off),
+        shift=np.where([c.name == "thermal.ambient" for c in problem.constants], 0.0, alone.chosen.shift),
+    )
+    again = option_of(located.nominal, problem, turned, alone.rivals, tick=clock.tick)
+    return again if again.chosen.chi_square < alone.chosen.chi_square + limits.rival else alone
 
 
 def _pair_in_place_of_one(
@@ -192,22 +254,6 @@ def _pair_in_place_of_one(
     pair = pair_of(located.nominal, located.problem, other, candidates, alike, tick=clock.tick)
     better = pair is not None and pair.chosen.chi_square < alone.chosen.chi_square - limits.rival
     return pair if better else None
-
-
-def completeness(
-    explanation: Explanation, remaining: float, problem: LinearisedProblem, limits: Limits
-) -> float:
-    """Share of the excess beyond what unchanged devices show that an explanation takes away."""
-    rest = problem.count * max(remaining - limits.slack, 0.0)
-    return explanation.gain / (explanation.gain + rest)
-
-
-def _matched(pair: Option, alone: Option, limits: Limits) -> bool:
-    """Whether no other partner of one of the two comes near what the other adds."""
-    before = alone.chosen.chi_square
-    best = min(r.chi_square for r in pair.rivals if set(r.keys) == set(pair.chosen.keys))
-    others = [r.chi_square for r in pair.rivals if set(r.keys) != set(pair.chosen.keys)]
-    return before - min(others, default=before) < limits.dominated * (before - best)
 
 
 def _best_inside(explanations: Sequence[Explanation]) -> Explanation | None:

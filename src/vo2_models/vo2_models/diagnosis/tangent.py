@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,21 +20,28 @@ FEW = 8
 
 @dataclass(frozen=True)
 class Tangent:
-    """Whitened (N, k) matrix: columns of each channel's loop shape, then the thermal columns.
+    """Whitened (N, k) matrix: columns of each channel's loop shape, of courses in time, then the thermal columns.
 
     Attributes
     ----------
     blocks : (rows of a channel, (n, k_c) loop columns there); the rows are stacked channel by channel
     thermal : (N, t) columns that reach every channel
+    courses : (N, c) of effects whose course in time is free, see `courses`; None for none
     """
 
     blocks: tuple[tuple[slice, Floats], ...]
     thermal: Floats
+    courses: Floats | None = field(default=None)
+
+    @cached_property
+    def _dense(self) -> Floats:
+        """Columns that reach every channel: courses and thermal ones."""
+        return self.thermal if self.courses is None else np.hstack([self.courses, self.thermal])
 
     @property
     def shape(self) -> tuple[int, int]:
         """(N, k)."""
-        return self.thermal.shape[0], self._end + self.thermal.shape[1]
+        return self.thermal.shape[0], self._end + self._dense.shape[1]
 
     @property
     def _end(self) -> int:
@@ -50,12 +58,12 @@ class Tangent:
         """Return B'B, (k, k)."""
         end, size = self._end, self.shape[1]
         out = np.zeros((size, size))
-        out[end:, end:] = self.thermal.T @ self.thermal
+        out[end:, end:] = self._dense.T @ self._dense
         places = self._places()
         squares = parallel_map(lambda place: place[1].T @ place[1], places)
         for (rows, block, own), square in zip(places, squares, strict=True):
             out[own, own] = square
-            cross = block.T @ self.thermal[rows]
+            cross = block.T @ self._dense[rows]
             out[own, end:] = cross
             out[end:, own] = cross.T
         return out
@@ -67,7 +75,7 @@ class Tangent:
             there = vectors[rows]
             if there.any():  # an effect often leaves a channel as it is
                 out[own] = _product(block, there)
-        out[self._end :] = np.dot(self.thermal.T, vectors)
+        out[self._end :] = np.dot(self._dense.T, vectors)
         return out
 
     def against_rows(self, rows: slice, vectors: Floats) -> Floats:
@@ -76,19 +84,25 @@ class Tangent:
         for own_rows, block, own in self._places():
             if own_rows == rows:
                 out[own] = block.T @ vectors
-        out[self._end :] = self.thermal[rows].T @ vectors
+        out[self._end :] = self._dense[rows].T @ vectors
         return out
 
     def times(self, weights: Floats) -> Floats:
         """Return B w for w (k,) or (k, p)."""
-        out = self.thermal @ weights[self._end :]
+        out = self._dense @ weights[self._end :]
         for rows, block, own in self._places():
             out[rows] += block @ weights[own]
         return np.asarray(out)
 
+    def of_courses(self, weights: Floats) -> Floats:
+        """Return the part (N,) of B w, w (k,), that is the courses'."""
+        if self.courses is None:
+            return np.zeros(self.thermal.shape[0])
+        return np.asarray(self.courses @ weights[self._end : self._end + self.courses.shape[1]])
+
     def times_rows(self, rows: slice, weights: Floats) -> Floats:
         """Return the rows of one channel of B w."""
-        out = self.thermal[rows] @ weights[self._end :]
+        out = self._dense[rows] @ weights[self._end :]
         for own_rows, block, own in self._places():
             if own_rows == rows:
                 out += block @ weights[own]
@@ -97,7 +111,8 @@ class Tangent:
     def restricted(self, keep: NDArray[np.bool_]) -> Tangent:
         """The same with the rows that do not count set to zero."""
         blocks = tuple((rows, block * keep[rows, None]) for rows, block in self.blocks)
-        return Tangent(blocks, self.thermal * keep[:, None])
+        courses = None if self.courses is None else self.courses * keep[:, None]
+        return Tangent(blocks, self.thermal * keep[:, None], courses)
 
 
 def _product(block: Floats, vectors: Floats) -> Floats:

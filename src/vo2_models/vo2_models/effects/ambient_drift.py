@@ -11,6 +11,7 @@ EFFECT = Effect(
     ),
     channels=HEAT,
     needs=("body",),
+    course="rate",
     typical={"integrated": {"rate": (0.1, 0.4)}, "peltier": {"rate": (0.5e-3, 3e-3)}},
     equation="T0(t) = T0 + rate t + curvature t^2",
     excitation="a recording with comparable parts early and late",

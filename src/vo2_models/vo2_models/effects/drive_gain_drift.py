@@ -17,7 +17,7 @@ EFFECT = Effect(
         ),
     ),
     channels=ALL,
-    straight=True,
+    course="rate",
     order=40,
     typical={"integrated": {"rate": (1e-3, 6e-3)}, "peltier": {"rate": (1e-5, 6e-5)}},
     equation="i = u (1 + rate t)",

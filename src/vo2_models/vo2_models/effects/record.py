@@ -203,7 +203,8 @@ class Effect:
     needs : what a device must have for it, words of `magnitude.NEEDS`
     typical : shipped device, or "device:signal", -> parameter -> range of clearly visible magnitudes, for demonstrations
     fixed : parameters that an excitation cannot separate from the others; a fit leaves them at their default
-    straight : whether what it does grows in proportion to the time: what bends in time is something else
+    course : parameter whose product with the time is the effect's amplitude, where that may take any slow course in time
+        and a straight line is the simplest; empty for none
     linear : whether what a structure makes of a sum is the sum of what it makes of the parts
     order : place among the effects of its hook, lowest first; the order of the signal's way through the device
     derived : names of the numbers that `prepare(values, period, time_constant)` returns, for the hooks
@@ -225,7 +226,7 @@ class Effect:
     signal: bool = False
     needs: tuple[str, ...] = ()
     fixed: tuple[str, ...] = ()
-    straight: bool = False
+    course: str = ""
     linear: bool = True
     order: int = 50
     derived: tuple[str, ...] = ()

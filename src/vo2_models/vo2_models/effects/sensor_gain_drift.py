@@ -9,7 +9,7 @@ EFFECT = Effect(
     parameters=(constant_of("rate", 0, "1/s", "relative change of the gain per time", -1, 1),),
     channels=(RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE),
     signal=True,
-    straight=True,
+    course="rate",
     typical={"integrated": {"rate": (1e-3, 5e-3)}, "peltier": {"rate": (1e-5, 6e-5)}},
     order=40,
     equation="y = y_true (1 + rate t)",
