@@ -5,7 +5,7 @@ import pytest
 from vo2_models.device import PARAMETERS, DeviceModel
 from vo2_models.hysteresis.bouc_wen import BoucWen
 from vo2_models.hysteresis.domains import DomainEnsemble
-from vo2_models.hysteresis.laws import ADDED, FILED
+from vo2_models.hysteresis.laws import ADDED, FILED, scaled_law
 from vo2_models.hysteresis.limiting_loop import LimitingLoop
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.hysteresis.preisach import NonMonotonicPreisach, PreisachOperator
@@ -116,3 +116,12 @@ def test_a_resistance_law_without_an_inverse_is_told_in_one_line():
         ValueError, match=r"found 'nonmonotonic' whose -log10 R falls while .* need a law with an inverse"
     ):
         self_sensing("composite", parameters)
+
+
+@pytest.mark.parametrize("name", sorted(set(LAWS) - set(ADDED)))
+def test_a_law_is_scaled(name):
+    path = np.concatenate([np.linspace(22.0, 90.0, 60), np.linspace(90.0, 50.0, 40)])
+    law = LAWS[name]
+    scaled = scaled_law(law, 1.1, 0.2)
+    assert type(scaled) is type(law)
+    assert scaled.run(path) == pytest.approx(1.1 * law.run(path) + 0.2, rel=1e-9)

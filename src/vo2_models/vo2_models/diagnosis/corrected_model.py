@@ -18,7 +18,8 @@ from vo2_models.diagnosis.nominal import THERMAL
 from vo2_models.diagnosis.pairs import Option, option_of, pair_of
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.stages import Study
-from vo2_models.hysteresis.play_bank import PlayBank
+from vo2_models.hysteresis.law import Law
+from vo2_models.hysteresis.laws import scaled_law
 from vo2_models.identification.bank_fit import BankShape, evaluate, fit_bank
 from vo2_models.identification.loops_fit import COLD
 from vo2_models.parameters import Value
@@ -123,13 +124,13 @@ def _left(option: Option) -> float:
     return option.chosen.chi_square
 
 
-def _refitted(final: LinearisedProblem, rest: Floats, laws: Mapping[str, PlayBank]) -> dict[str, PlayBank]:
+def _refitted(final: LinearisedProblem, rest: Floats, laws: Mapping[str, Law]) -> dict[str, Law]:
     """The loops that were fitted along with an effect, as laws of a model file.
 
     What the nuisance model made of them is a law plus a correction on known paths of temperature; a law is fitted to both.
     """
     weights = final.loop_weights(final.fit_nuisance(rest))
-    found = {}
+    found: dict[str, Law] = {}
     for channel, columns in final.loops.items():
         section, sign = ("resistance", -1.0) if channel == RESISTANCE else ("deflection", 1.0)
         try:
@@ -154,10 +155,6 @@ def _cold(path: Floats) -> Floats:
     return np.concatenate([[COLD], path])
 
 
-def _scaled(bank: PlayBank, gain: float, zero: float) -> PlayBank:
+def _scaled(law: Law, gain: float, zero: float) -> Law:
     """The law gain y + zero, zero in the output's unit."""
-    if not bank.present:
-        return bank
-    polynomial = gain * np.asarray(bank.polynomial)
-    polynomial[0] += zero
-    return replace(bank, weights=gain * np.asarray(bank.weights), polynomial=polynomial)
+    return scaled_law(law, gain, zero) if law.present else law

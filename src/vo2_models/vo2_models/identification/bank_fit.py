@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from vo2_models.hysteresis.law import Law
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.levenberg_marquardt import levenberg_marquardt
 from vo2_models.identification.sensitivity import play_sensitivities
@@ -58,8 +59,10 @@ class BankShape:
         return cls(parts[0], parts[1], parts[2], parts[3], vector[4 * plays :])
 
     @classmethod
-    def of_bank(cls, bank: PlayBank) -> BankShape:
+    def of_bank(cls, bank: Law) -> BankShape:
         """Return the fitting coordinates of a bank; raise a `ValueError` where it has none."""
+        if not isinstance(bank, PlayBank):
+            raise ValueError(f"bank: found the law {bank.name!r}, need a bank of plays")
         slope, falling = np.asarray(bank.rising_slopes), np.asarray(bank.falling_slopes)
         weights = np.asarray(bank.weights)
         if np.any(np.asarray(bank.radii) != 0.0) or not np.allclose(slope, falling) or np.any(weights <= 0.0):

@@ -7,8 +7,12 @@ To add a law, add a file to this folder that ends with `EXAMPLE`, one such law o
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields, replace
 from importlib import import_module
 from pkgutil import iter_modules
+from typing import Any
+
+import numpy as np
 
 from vo2_models.hysteresis.bouc_wen import BoucWen
 from vo2_models.hysteresis.domains import DomainEnsemble
@@ -20,7 +24,7 @@ from vo2_models.hysteresis.preisach.nonmonotonic import NonMonotonicPreisach
 from vo2_models.hysteresis.preisach.operator import PreisachOperator
 from vo2_models.parameters import Parameter, Value
 
-__all__ = ["ADDED", "FILED", "LAWS", "bank_parameters", "law_from_parameters", "law_parameters"]
+__all__ = ["ADDED", "FILED", "LAWS", "bank_parameters", "law_from_parameters", "law_parameters", "scaled_law"]
 
 
 def _added() -> dict[str, Law]:
@@ -73,6 +77,43 @@ def law_from_parameters(section: str, values: Mapping[str, Value]) -> Law:
     if name not in FILED:
         raise ValueError(f"{section}.law: found {name!r}, need one of {', '.join(FILED)}")
     return FILED[name].from_parameters(section, values)
+
+
+def scaled_law(law: Law, gain: float, zero: float) -> Law:
+    """Return the law whose output is gain times that of `law`, plus `zero`.
+
+    Parameters
+    ----------
+    law : of a model file
+    gain : factor [1]
+    zero : [output unit]
+
+    Raises
+    ------
+    ValueError : a law of this folder, whose parameters are not known here.
+    """
+    if gain == 1.0 and zero == 0.0:
+        return law
+    if type(law) not in _OWN:
+        raise ValueError(
+            f"law: found {law.name!r}, need one of {', '.join(one.name for one in _OWN)} to be scaled"
+        )
+    if isinstance(law, NonMonotonicPreisach):
+        operator: Any = scaled_law(law.operator, gain, zero)
+        return replace(law, operator=operator, k0=gain * law.k0, k1=gain * law.k1)
+    given = {part.name: getattr(law, part.name) for part in fields(law)}  # type: ignore[arg-type]
+    changes: dict[str, Any] = {
+        name: gain * np.asarray(given[name])
+        for name in ("weights", "density", "amplitude", "lower", "upper")
+        if name in given
+    }
+    if "polynomial" in given:
+        coefficients = gain * np.asarray(given["polynomial"])
+        changes["polynomial"] = coefficients if coefficients.size else np.zeros(1)
+        changes["polynomial"][0] += zero
+    else:
+        changes["bias"] = gain * given["bias"] + zero
+    return replace(law, **changes)  # type: ignore[type-var]
 
 
 def law_parameters(section: str, what: str, unit: str) -> tuple[Parameter, ...]:
