@@ -70,7 +70,7 @@ class Limits:
         "largest error of a channel, as a share of its range, that fitted loops make of a recording unlike the calibration: "
         "published laws reach 0.01 to 0.03",
     )
-    else_base: float = _limit(4.2, "log odds of something else: constant; see `else_open`")
+    else_base: float = _limit(4.2, "log odds of something else: constant; a first choice, not fitted yet")
     else_open: float = _limit(
         3.0,
         "the same for each decade of the share that functions without a name predict of the rest",

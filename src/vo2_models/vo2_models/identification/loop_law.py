@@ -98,6 +98,10 @@ def fit_loop_law(name: str, path: Floats, values: Floats, fold: NDArray[np.int64
     values : (n,) measured, NaN where missing
     fold : (n,) part that each sample is held out with, -1 for none
 
+    Returns
+    -------
+    LoopLaw : the law, with its misfit in the unit of `values`
+
     Raises
     ------
     ValueError : another name, or what the fit of the law refuses.
