@@ -1,7 +1,8 @@
 """Families of concealed hysteresis: each draws a film; what they share is the protocol in `law`.
 
 `plays` and `clusters` are independent domains, `interacting` domains in the mean field, `proximity` the limiting-loop
-proximity model, `jiles_atherton` a differential law with rate-dependent coercivity.
+proximity model, `jiles_atherton` a differential law with rate-dependent coercivity, `duhem` one whose only memory is
+its fraction.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from vo2_studies.challenge.families import domains, interacting, jiles_atherton, proximity
+from vo2_studies.challenge.families import domains, duhem, interacting, jiles_atherton, proximity
 from vo2_studies.challenge.families.law import Film, Statistics, major_loop
 
 __all__ = ["ALL", "FAMILIES", "Film", "Statistics", "chosen_families", "draw_film", "major_loop"]
@@ -23,6 +24,7 @@ FAMILIES: dict[str, Draw] = {
     "interacting": interacting.draw,
     "proximity": proximity.draw,
     "jiles_atherton": jiles_atherton.draw,
+    "duhem": duhem.draw,
 }
 ALL = "all"
 
