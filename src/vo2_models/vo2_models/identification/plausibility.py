@@ -85,7 +85,8 @@ def _small_deflection(recording: Recording, nominal: DeviceDescription) -> list[
     low, high = nominal.operating_range
     if not tip.size or not drive.size or np.ptp(drive) < _MOST_OF_IT * abs(high - low):
         return []
-    if np.ptp(tip) * _FAR_RANGE > nominal.deflection_range:
+    # a constant is a broken lead in any unit
+    if np.ptp(tip) == 0.0 or np.ptp(tip) * _FAR_RANGE > nominal.deflection_range:
         return []
     return [
         f"{name} spans {np.ptp(tip):.3g} m, device {nominal.id} spans {nominal.deflection_range:.4g} m: check the unit "
