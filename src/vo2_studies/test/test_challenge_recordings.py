@@ -101,7 +101,7 @@ def test_cases_of_the_measured_sets(tmp_path):
 def test_the_command_draws_measured_cases(tmp_path):
     arguments = ["--cases", "2", "--seed", "3", "--output", str(tmp_path / "out"), "--bags-only"]
     assert command.main([*arguments, "--recordings", str(DATA)]) == 0
-    assert load_json(tmp_path / "out" / "settings.json")["recordings"] == str(DATA)
+    assert load_json(tmp_path / "out" / "settings.json")["recordings"] == str(DATA.resolve())
     assert (tmp_path / "out" / "cases" / "0001" / "device.yaml").exists()
 
 
