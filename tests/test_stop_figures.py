@@ -67,6 +67,8 @@ def test_an_emergency_stop_takes_few_samples_whatever_is_commanded(count):
         f"\n{count} stops at {RATE_HZ:g} Hz: samples after the word that still show current: p50 {p50:g}, p99.9 {p999:g}, "
         f"most {max(taken)}; load of the machine {load:.0f} on {os.cpu_count()} processors"
     )
-    # on a machine that does other work the figure is that of its scheduler
+    # half of the stops meet no stall, however busy the machine is
+    assert p50 <= 1
+    # on a machine that does other work the last per mille is that of its scheduler
     if load <= (os.cpu_count() or 1):
         assert p999 <= MOST_SAMPLES
