@@ -1,6 +1,9 @@
 """What the packages say of themselves agrees."""
 
 import re
+import subprocess
+import sys
+import tomllib
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -34,3 +37,35 @@ def test_each_package_brings_licence_and_changelog(package):
     setup = (package / "setup.py").read_text()
     assert not re.search(r'version="|maintainer="|license="', setup), "these are read from package.xml"
     assert f'NAME = "{package.name}"' in setup
+
+
+def linter(name, *arguments):
+    """What a linter of ament says, with the settings of this workspace, of all packages and tests."""
+    pytest.importorskip(name, reason="the linters of ament come with ROS 2 only, not from PyPI")
+    command = [
+        sys.executable,
+        "-c",
+        f"import sys; from {name}.main import main; sys.exit(main())",
+        *arguments,
+    ]
+    return subprocess.run([*command, "src", "tests"], cwd=ROOT, capture_output=True, text=True)
+
+
+def test_ament_flake8_finds_nothing():
+    done = linter("ament_flake8", "--config", ".flake8")
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+
+
+def test_ament_pep257_finds_nothing():
+    ignored = [f"D10{k}" for k in range(8)] + ["D401", "D402", "D403"]
+    done = linter("ament_pep257", "--convention", "pep257", "--add-ignore", *ignored, "--")
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_ruff_checks_the_rules_that_the_linters_of_ament_check():
+    """Where those linters are not installed, it is ruff that finds what they would."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["ruff"]["lint"]
+    assert {"E", "F", "W", "C4", "A", "D"} <= set(settings["select"])
+    listed = re.findall(r"\b[A-Z]+[0-9]+\b", re.sub("#.*", "", (ROOT / ".flake8").read_text()))
+    letters = {code for code in settings["ignore"] if code[0] in "DA"}
+    assert letters <= set(listed)

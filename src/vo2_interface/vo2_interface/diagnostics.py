@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.impl import rcutils_logger
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
@@ -20,6 +23,8 @@ _LEVELS = {
     "warn": DiagnosticStatus.WARN,
     "error": DiagnosticStatus.ERROR,
 }
+# a log line names the file that reports, not this one
+rcutils_logger._internal_callers.append(os.path.realpath(__file__))
 _WATCH_S = 0.5
 _LINKS = "links"
 _QUIET_LOOKS = 2
@@ -41,6 +46,8 @@ class Diagnostics:
         self._heard = b""
         self._inputs: dict[str, tuple[Callable[[], int], deque[int]]] = {}
         self._counts: dict[str, int] = {}
+        # one for each level: a logger wants the same severity of a place in the code every time
+        self._loggers = {level: get_logger(node.get_logger().name) for level in _LEVELS}
         self._name = node.get_fully_qualified_name().lstrip("/")
         self.hardware_id = hardware_id
 
@@ -141,10 +148,9 @@ class Diagnostics:
         self._publisher.publish(message)
 
     def _log(self, topic: str, level: str, text: str, *, first: bool) -> None:
-        logger = self._node.get_logger()
         if level == "error":
-            logger.error(f"{topic}: {text}")
+            self._loggers[level].error(f"{topic}: {text}")
         elif level == "warn":
-            logger.warning(f"{topic}: {text}")
+            self._loggers[level].warning(f"{topic}: {text}")
         elif not first or topic not in ("input", _LINKS):
-            logger.info(f"{topic}: {text}")
+            self._loggers[level].info(f"{topic}: {text}")

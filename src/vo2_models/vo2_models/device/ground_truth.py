@@ -18,7 +18,6 @@ from vo2_models.device.laws import truth_deflection
 from vo2_models.device.simulation import ENSEMBLE, Simulation, nominal_coefficients
 from vo2_models.device.stepper import Stepper
 from vo2_models.recording import RESISTANCE
-from vo2_models.recording import Recording as Recording
 
 __all__ = ["DOMAINS", "SPREAD", "TruthDevice", "truth"]
 

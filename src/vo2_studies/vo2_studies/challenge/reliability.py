@@ -20,8 +20,10 @@ WITHIN = 0.05
 
 
 def reliability(judgements: Sequence[Judgement]) -> list[dict[str, Any]]:
-    """Return the bins that have entries: from, to, count, mean stated probability, observed share and its
-    interval, and whether they are within `WITHIN`."""
+    """Return the bins that have entries.
+
+    Each has from, to, count, mean stated probability, observed share and its interval, and whether they are within `WITHIN`.
+    """
     pairs = np.array([pair for j in judgements for pair in j.stated], dtype=float).reshape(-1, 2)
     place = np.clip(np.searchsorted(EDGES, pairs[:, 0], side="right") - 1, 0, len(EDGES) - 2)
     bins = []
