@@ -11,12 +11,15 @@ import time
 import urllib.request
 from base64 import b64decode
 
+import numpy as np
 import pytest
 from std_msgs.msg import Bool
 from vo2_interface.live.frames import Frames
 from vo2_interface.live.node import LiveNode
+from vo2_interface.live.simulated import SimulatedBeside
 from vo2_interface.testing import bench
 from vo2_interface.topics import EMERGENCY_STOP, EMERGENCY_STOP_QOS
+from vo2_models.device.model import DeviceModel
 
 MS = 1_000_000
 SECONDS = 8
@@ -44,7 +47,7 @@ def test_samples_are_joined_by_stamp_and_sent_once():
     count, line = frames.since(1)
     rows = json.loads(line)["rows"]
     assert count == 3 and [row[0] for row in rows] == [0.001, 0.002]
-    assert rows[0][1:] == pytest.approx([5e-3, 1e5, 31e-6, 32e-6, 2e-6, 31e-6])
+    assert rows[0][1:7] == pytest.approx([5e-3, 1e5, 31e-6, 32e-6, 2e-6, 31e-6])
     assert json.loads(frames.since(count)[1])["rows"] == []
 
 
@@ -52,7 +55,66 @@ def test_what_is_no_number_is_sent_as_none():
     frames = Frames()
     frames.measured(0, math.nan, math.inf, 1e-6)
     frames.measured(MS, 0.0, 1.0, 1e-6)
-    assert json.loads(frames.since(0)[1])["rows"] == [[0.0, None, None, 1e-6, None, None, None]]
+    assert json.loads(frames.since(0)[1])["rows"] == [[0.0, None, None, 1e-6, *[None] * 6]]
+
+
+def levels(count=100):
+    """Cold at first, then levels of 20 ms over the operating range [A]."""
+    random = np.random.default_rng(0).uniform(3.68e-3, 8.49e-3, count)
+    return np.concatenate([np.zeros(50), np.repeat(random, 20)])
+
+
+def beside(model_file, recording, every=1):
+    """What the simulation beside a device says of every sample: (n, 3) resistance, deflection, whether it differs."""
+    simulation = SimulatedBeside(DeviceModel.load(model_file))
+    columns = (recording[name] for name in ("heater_current", "film_resistance", "tip_deflection"))
+    samples = list(zip(*columns, strict=True))
+    return np.array([simulation.step(k * MS, *samples[k]) for k in range(0, len(samples), every)])
+
+
+def test_the_simulation_beside_a_device_marks_the_place_where_they_differ(model_file):
+    device = DeviceModel.load(model_file).simulation
+    recording = device.simulate(levels(), seed=5)
+    same = beside(model_file, recording)
+    assert np.all(np.isnan(same[:5])), "nobody knows the memory before the device has been cold"
+    assert np.nanmax(same[:, 2]) == 0.0
+    assert np.nanmean(np.abs(same[:, 1] - recording["tip_deflection"])) < 0.1e-6
+    clipped = {"adc_saturation": {"signal": "tip_deflection", "high": 40e-6}}
+    changed = beside(model_file, device.with_effects(clipped).simulate(levels(), seed=5))
+    above = changed[:, 1] > 42e-6
+    assert np.sum(above) > 500 and np.all(changed[above, 2] == 1.0)
+    assert np.nanmax(changed[changed[:, 1] < 40e-6, 2]) == 0.0
+
+
+def test_the_simulation_beside_a_device_holds_the_drive_while_samples_are_lost(model_file):
+    recording = DeviceModel.load(model_file).simulate(levels(), seed=5)
+    # of every fifth sample it hears; the levels change with one that it hears
+    few, all_ = beside(model_file, recording, 5), beside(model_file, recording)[::5]
+    np.testing.assert_array_equal(few[10:], all_[10:])
+
+
+def test_a_model_that_is_no_model_of_the_loop_is_one_line(model_file):
+    arguments = ["-m", "vo2_interface.live.node", "--ros-args", "-p", "preset:=peltier", "-p"]
+    run = subprocess.run(
+        [sys.executable, *arguments, f"model:={model_file}"], capture_output=True, text=True, timeout=120
+    )
+    assert run.returncode == 2 and "need one of the preset peltier" in run.stderr
+    assert len(run.stderr.splitlines()) == 1
+
+
+def test_the_page_gets_what_the_simulation_expects(model_file):
+    recording = DeviceModel.load(model_file).simulate(np.zeros(60), seed=5)
+    with bench(["--ros-args", "-p", "port:=0", "-p", f"model:={model_file}"]) as rig:
+        node = rig.add(LiveNode)
+        assert json.loads(request(node.port, "GET", "/device").read())["model"] is True
+        for k in range(60):
+            sample = {name: float(recording[name][k]) for name in recording.channels}
+            rig.say("/vo2/measurement", k * MS, sample | ({"tip_deflection": 9e-6} if k == 58 else {}))
+            rig.spin(0.01)
+        stream = request(node.port, "GET", "/frames")
+        (row,) = json.loads(stream.readline()[6:])["rows"]
+    assert row[3] == 9e-6 and row[9] == 1.0
+    assert row[8] == pytest.approx(recording["tip_deflection"][58], abs=1e-6)
 
 
 def test_the_graph_reaches_the_page(live):

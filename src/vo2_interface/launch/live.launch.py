@@ -13,11 +13,14 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("namespace", default_value="/vo2", description="Namespace of the loop."),
             DeclareLaunchArgument("preset", default_value="integrated", description="Device of the loop."),
             DeclareLaunchArgument("port", default_value="8765", description="Port on 127.0.0.1, 0 for any."),
+            DeclareLaunchArgument(
+                "model", default_value="", description="Model file to compare with, or none."
+            ),
             Node(
                 package="vo2_interface",
                 executable="live",
                 namespace=LaunchConfiguration("namespace"),
-                parameters=[{"preset": LaunchConfiguration("preset"), "port": LaunchConfiguration("port")}],
+                parameters=[{name: LaunchConfiguration(name) for name in ("preset", "port", "model")}],
                 output="screen",
             ),
         ]

@@ -7,10 +7,15 @@ import math
 import threading
 from collections import deque
 
+from vo2_interface.live.simulated import Expected
+
 __all__ = ["CHANNELS", "Frames"]
 
-CHANNELS = ("current", "resistance", "measured", "estimate", "bound", "reference")
-"""Columns of a sample behind its time, as the page takes them: A, ohm, then m."""
+CHANNELS = (
+    *("current", "resistance", "measured", "estimate", "bound", "reference"),
+    *("simulated_resistance", "simulated", "differs"),
+)
+"""Columns of a sample behind its time, as the page takes them: A, ohm, then m; of the simulation ohm, m, and 1 or 0."""
 _NAN = float("nan")
 _KEPT = 6000
 """Samples kept for a page that is slow or has just been opened."""
@@ -30,15 +35,28 @@ class Frames:
         self._reference = _NAN
         self.stopped = False
 
-    def measured(self, stamp_ns: int, current: float, resistance: float, deflection: float) -> None:
-        """Take a measurement [A, ohm, m] at a stamp [ns]; what was measured before it is complete."""
+    def measured(
+        self,
+        stamp_ns: int,
+        current: float,
+        resistance: float,
+        deflection: float,
+        expected: Expected = Expected(),  # noqa: B008  # cannot be changed
+    ) -> None:
+        """Take a measurement [A, ohm, m] at a stamp [ns]; what was measured before it is complete.
+
+        Parameters
+        ----------
+        stamp_ns, current, resistance, deflection : of the measurement
+        expected : by the simulation that runs beside the device, where there is one
+        """
         with self._lock:
             if stamp_ns in self._open:
                 return
             for row in self._open.values():
                 self._done.append(row)
                 self._count += 1
-            row = [stamp_ns * 1e-9, current, resistance, deflection, _NAN, _NAN, self._reference]
+            row = [stamp_ns * 1e-9, current, resistance, deflection, _NAN, _NAN, self._reference, *expected]
             self._open = {stamp_ns: row}
 
     def estimated(self, stamp_ns: int, deflection: float, bound: float) -> None:

@@ -1,5 +1,6 @@
 """Serve a page of the running loop on this host: the cantilever to scale, the loop, traces, stop and release.
 
+With `model`, a file that `fit` wrote, the simulation runs beside the device, and the page marks where they differ.
 Open the printed address in a browser. The page shows what the topics carry; it commands nothing but the emergency stop.
 """
 
@@ -19,6 +20,7 @@ from vo2_interface.executable import node_main
 from vo2_interface.inputs import SampleInput
 from vo2_interface.live.frames import Frames
 from vo2_interface.live.server import LiveServer
+from vo2_interface.live.simulated import SimulatedBeside
 from vo2_interface.parameters import ParameterTable
 from vo2_interface.samples import SampleReader
 from vo2_interface.topics import (
@@ -35,6 +37,9 @@ __all__ = ["LIVE_PARAMETERS", "LiveNode", "main"]
 LIVE_PARAMETERS = (
     DeviceParameter("preset", "integrated", "", "Device: a preset, or the path of a device file."),
     Parameter(
+        "model", "", "", "Model file that `fit` wrote, of the simulation to compare with; empty for none."
+    ),
+    Parameter(
         "port", 8765, "", "Port of the page on 127.0.0.1; 0 for any that is free.", 0, 65535, kind="int"
     ),
 )
@@ -45,10 +50,12 @@ class LiveNode(Node):
 
     def __init__(self) -> None:
         super().__init__("live", namespace=DEFAULT_NAMESPACE)
-        table = ParameterTable(self, LIVE_PARAMETERS, read_only=("preset", "port"))
+        table = ParameterTable(self, LIVE_PARAMETERS, read_only=("preset", "model", "port"))
         device = preset(table.text("preset"))
+        self._beside = _simulated(table.text("model"), device.id)
         self._diagnostics = Diagnostics(self)
         self._frames = Frames()
+        self._last_ns = -1
         names = device.names
         self._measurement = SampleReader(
             [names.get(role, role) for role in (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)]
@@ -67,6 +74,7 @@ class LiveNode(Node):
             "length_m": device.length if math.isfinite(device.length) else None,
             "deflection_m": (0.0, device.deflection_range),
             "resistance_ohm": device.resistance_range,
+            "model": self._beside is not None,
         }
         try:
             self._server = LiveServer(self._frames, told, self._on_button, port)
@@ -79,7 +87,11 @@ class LiveNode(Node):
 
     def _on_measurement(self, data: bytes) -> None:
         stamp_ns, values = self._measurement.read(data)
-        self._frames.measured(stamp_ns, *values)
+        if self._beside is None or stamp_ns == self._last_ns:
+            self._frames.measured(stamp_ns, *values)
+        else:
+            self._frames.measured(stamp_ns, *values, self._beside.step(stamp_ns, *values))
+        self._last_ns = stamp_ns
 
     def _on_estimate(self, data: bytes) -> None:
         stamp_ns, values = self._estimate.read(data)
@@ -98,6 +110,19 @@ class LiveNode(Node):
     def close(self) -> None:
         """End the page."""
         self._server.close()
+
+
+def _simulated(path: str, device: str) -> SimulatedBeside | None:
+    """Return the simulation of a model file, None for an empty path."""
+    if not path:
+        return None
+    # loads the compiler
+    from vo2_models.device.model import DeviceModel
+
+    model = DeviceModel.load(path)
+    if model.description.id != device:
+        raise ValueError(f"model: {path} is of {model.description.id}, need one of the preset {device}")
+    return SimulatedBeside(model)
 
 
 main = node_main(LiveNode)
