@@ -1,7 +1,7 @@
 """Pieces of the diagnosis: file format, noise, data check, comb detection, excitations."""
 
 import copy
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -156,7 +156,7 @@ def test_what_is_unusable_is_refused_with_the_reason() -> None:
             film_resistance=np.minimum(recording()["film_resistance"], 5e4),
             tip_deflection=np.full(2000, 1e-5),
         ),
-        "need at least 500": recording().slice(0, 300),
+        "need at least 50": recording().slice(0, 49),
         "film_resistance is a copy of heater_current": recording(
             film_resistance=1e6 * recording()["heater_current"]
         ),
@@ -170,6 +170,30 @@ def test_what_is_unusable_is_refused_with_the_reason() -> None:
     for words, bad in cases.items():
         with pytest.raises(Unusable, match=words):
             check_recording(bad, model())
+
+
+def test_few_samples_and_jittered_stamps_are_limits() -> None:
+    few = check_recording(recording().slice(700, 1000), model())
+    assert [f.kind for f in few] == ["few"] and "300 samples" in few[0].text and "1.3 times" in few[0].text
+    rng = np.random.default_rng(4)
+    whole = recording()
+    jittered = replace(whole, time_s=whole.time_s + rng.uniform(-0.15e-3, 0.15e-3, 2000))
+    (found,) = check_recording(jittered, model())
+    assert found.kind == "jitter" and "interpolated onto a regular grid" in found.text
+
+
+def test_jittered_stamps_are_interpolated_and_gaps_stay_missing() -> None:
+    rng = np.random.default_rng(4)
+    stamps = np.cumsum(rng.uniform(0.6e-3, 1.4e-3, 3000))
+    keep = np.ones(3000, dtype=bool)
+    keep[1000:1100] = False
+    wave = np.sin(2 * np.pi * stamps / 0.2)
+    even = regular(Recording(stamps[keep], {"x": wave[keep]}, ""))
+    assert np.ptp(np.diff(even.time_s)) < 1e-9
+    good = np.isfinite(even["x"])
+    assert np.max(np.abs(even["x"] - np.sin(2 * np.pi * even.time_s / 0.2))[good]) < 1e-3
+    inside = (even.time_s > stamps[999] + 2e-3) & (even.time_s < stamps[1100] - 2e-3)
+    assert not good[inside].any() and good[~inside].mean() > 0.99
 
 
 def test_gaps_are_limits_and_become_missing_samples() -> None:

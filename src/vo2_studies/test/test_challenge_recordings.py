@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from vo2_identification.bags import read_recording
+from vo2_models.device.description import described
 from vo2_models.recording import Recording
 from vo2_studies.challenge import command
 from vo2_studies.challenge.recordings.changes import CHANGES, changed
 from vo2_studies.challenge.recordings.draw import MeasuredSettings
-from vo2_studies.challenge.recordings.sets import repeat_spread
+from vo2_studies.challenge.recordings.sets import MOST, repeat_spread
 from vo2_studies.challenge.runner import Paths, load_json, write_case
 
 TIME = np.arange(4000) * 0.01
@@ -88,13 +89,23 @@ def test_cases_of_the_measured_sets(tmp_path):
         seen.add(plan.device)
         case = settings.case(plan)
         assert case.answer["effects"][0]["ratio"] > 0
-        channel = case.answer["effects"][0]["channels"][0]
         (measured,) = (one for one in settings.sets if one.name == plan.device)
+        role = case.answer["effects"][0]["channels"][0]
+        channel = described(measured.document, plan.device).names[role]
         assert not np.array_equal(case.test.measurement[channel], measured.others[plan.condition][channel])
+        assert case.shared == plan.device and len(case.test.measurement) <= MOST
         assert write_case(case, Paths(tmp_path)) == "device.yaml"
         recording, _ = read_recording(tmp_path / "cases" / f"{plan.index:04d}" / "test")
         assert len(recording) == len(case.test.measurement)
     assert seen == {one.name for one in settings.sets}
+
+
+@needs_data
+def test_some_of_the_sets(tmp_path):
+    settings = MeasuredSettings(3, str(DATA), ("piezo", "magnet"))
+    assert {settings.plan(k).device for k in range(6)} == {"piezo", "magnet"}
+    with pytest.raises(ValueError, match="sets: found bell, need some of piezo, seal_1_bar"):
+        MeasuredSettings(3, str(DATA), ("bell",)).plan(0)
 
 
 @needs_data

@@ -15,15 +15,19 @@ from vo2_models.diagnosis.nominal import Nominal, judged
 from vo2_models.identification.plausibility import impossible, unusual
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
-__all__ = ["Finding", "Unusable", "check_recording"]
+__all__ = ["JITTERED", "SHORTEST", "Finding", "Unusable", "check_recording", "jitter_of"]
 
 Floats = NDArray[np.float64]
 COPIED = 1e-6
 """Relative spread of the ratio of two channels up to which one is a copy of the other: rounding."""
 FAR = 100.0
 """Factor between the largest value of a channel and that of the device, either way, within which it can be this one."""
-SHORTEST = 500
-"""Fewest samples of a recording that can be judged."""
+SHORTEST, FEW = 50, 500
+"""Fewest samples of a recording that can be judged, and those below which it is said what so few cannot tell."""
+JITTERED = 0.1
+"""Share of the sample periods that are off by over a fifth, from which a recording is laid on a regular grid."""
+UNSTEADY = 0.5
+"""The same, from which stamps are no clock: half of them are that far from any period."""
 
 
 class Unusable(ValueError):
@@ -65,6 +69,14 @@ def check_recording(recording: Recording, nominal: Nominal, *, name: str = "reco
     if units := [text for text in odd if "check the unit" in text]:
         raise Unusable(f"{name}: {'; '.join(units)}")
     findings = [Finding("odd", text) for text in odd]
+    if len(recording) < FEW:
+        findings.append(
+            Finding(
+                "few",
+                f"{name}: {len(recording)} samples: a change must be {np.sqrt(FEW / len(recording)):.1f} times as large to "
+                f"be seen as in {FEW}, and effects that differ in their time course look alike",
+            )
+        )
     findings += _clock(recording, nominal, name)
     findings += _drive(recording, nominal, name)
     usable = []
@@ -108,28 +120,45 @@ def _mixed_up(recording: Recording, nominal: Nominal) -> str:
     return ""
 
 
+def jitter_of(recording: Recording) -> float:
+    """Return the share of the sample periods, gaps apart, that differ from the median by over a fifth of it."""
+    steps = np.diff(recording.time_s) / recording.sample_period_s
+    steps = steps[steps <= 1.5]
+    return float(np.mean(np.abs(steps - 1.0) > 0.2)) if steps.size else 1.0
+
+
 def _clock(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:
     steps = np.diff(recording.time_s)
     dt = recording.sample_period_s
     gaps = steps > 1.5 * dt
-    off = np.abs(steps / dt - np.rint(steps / dt))
-    jitter = float(np.mean(off[~gaps] > 0.2)) if np.any(~gaps) else 1.0
-    if jitter > 0.1:
+    jitter = jitter_of(recording)
+    if jitter > UNSTEADY:
         raise Unusable(
             f"{name}: {100 * jitter:.0f} % of the sample periods differ from the median {dt:.4g} s by over a fifth: "
             "the clock is not that of a regular acquisition; check the stamps"
         )
     duration = recording.time_s[-1] - recording.time_s[0]
-    constant = preset(nominal.device).time_constant
-    if dt > 20 * constant or dt < preset(nominal.device).shortest_period / 2:
+    device = preset(nominal.device)
+    shortest, longest = device.shortest_period / 2, 20 * device.time_constant
+    if not device.has_body:  # nothing in it has a time of its own: only a wrong unit of the time is told
+        shortest, longest = device.sample_period / FAR, device.sample_period * FAR
+    if not shortest <= dt <= longest:
         raise Unusable(
-            f"{name}: found a sample period of {dt:.4g} s, need {preset(nominal.device).shortest_period / 2:.4g} to "
-            f"{20 * constant:.4g} s for this device; check the stamps"
+            f"{name}: found a sample period of {dt:.4g} s, need {shortest:.4g} to {longest:.4g} s for this device; "
+            "check the stamps"
         )
     missing = float(np.sum(steps[gaps]) / duration) if np.any(gaps) else 0.0
     if missing > 0.3:
         raise Unusable(f"{name}: gaps make up {100 * missing:.0f} % of the recording, need less than 30 %")
     found = []
+    if jitter > JITTERED:
+        found.append(
+            Finding(
+                "jitter",
+                f"{name}: {100 * jitter:.0f} % of the sample periods differ from the median {dt:.4g} s by over a fifth: "
+                f"values are interpolated onto a regular grid, and lags, delays and modes below {2 * dt:.2g} s cannot be told",
+            )
+        )
     if np.any(gaps):
         first = float(recording.time_s[np.argmax(gaps)])
         found.append(

@@ -165,6 +165,7 @@ def _unnamed(
     """No name: agreement, moved constants, or an excess that only a correction without a name describes."""
     problem, unnamed = located.problem, None
     loud = located.total_excess > limits.excess or max(located.excess.values()) > limits.channel_excess
+    loud = loud and not located.within_misfit(limits)
     if loud:
         clock.say("shaping what has no name")
         unnamed = fit_nonparametric_correction(problem, located.remaining, block_folds(problem))

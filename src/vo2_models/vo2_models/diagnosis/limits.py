@@ -65,6 +65,11 @@ class Limits:
         "least share of the excess that a name explains: beside it the own misfit of the fitted loops may be as large, and "
         "the best name of unchanged devices whose coercivity depends on the rate explained up to 0.13",
     )
+    own_misfit: float = _limit(
+        2.0,
+        "on a device without body, what is left over the fit's error on held-out parts of its calibration, below which a "
+        "recording agrees: 1.7 was the largest of six unchanged recordings of two seals, reruns and a remount",
+    )
     law_misfit: float = _limit(
         0.05,
         "largest error of a channel, as a share of its range, that fitted loops make of a recording unlike the calibration: "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ class Located:
     excess : channel -> excess power over noise power, nuisance parameters refitted
     total_excess : the same of all channels
     breakdown : where the excess is
+    own_misfit : channel -> r.m.s. of what is left over the error that the fit made on parts of its calibration that it was
+        not given; empty where that is not known
     """
 
     nominal: Nominal
@@ -43,6 +45,11 @@ class Located:
     excess: Mapping[str, float]
     total_excess: float
     breakdown: tuple[Breakdown, ...]
+    own_misfit: Mapping[str, float] = field(default_factory=dict)
+
+    def within_misfit(self, limits: Limits) -> bool:
+        """Whether the recordings are as near to the model as its calibration's held-out parts: nothing is to be explained."""
+        return bool(self.own_misfit) and max(self.own_misfit.values()) < limits.own_misfit
 
 
 def locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
@@ -61,7 +68,34 @@ def locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
     problem = _relinearise_constants(nominal, problem, clock)
     remaining = problem.apply_inverse_covariance(problem.residual)
     excess, total = _excess(problem, remaining, problem.residual_chi_square)
-    return Located(nominal, problem, remaining, excess, total, tuple(breakdown(problem, remaining)))
+    return Located(
+        nominal,
+        problem,
+        remaining,
+        excess,
+        total,
+        tuple(breakdown(problem, remaining)),
+        _over_misfit(problem, remaining),
+    )
+
+
+def _over_misfit(problem: LinearisedProblem, remaining: Floats) -> dict[str, float]:
+    """What is left of each channel, r.m.s., over its error on held-out parts of the calibration; of devices without body."""
+    model = problem.nominal.model
+    if model.description.has_body:
+        return {}
+    found = {}
+    for channel in dict.fromkeys(row.channel for row in problem.rows):
+        sensor = model.sensors.get(channel)
+        if sensor is None or not sensor.misfit > 0.0:
+            continue
+        noise, squares, count = problem.nominal.noise[channel], 0.0, 0
+        for row in (row for row in problem.rows if row.channel == channel):
+            counts = problem.weight[row.where] > 0
+            squares += float(np.sum(noise.color(remaining[row.where])[counts] ** 2))
+            count += int(np.count_nonzero(counts))
+        found[channel] = float(np.sqrt(squares / max(count, 1))) / sensor.misfit
+    return found
 
 
 def _relinearise_constants(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter, lfiltic
 
-__all__ = ["NoiseModel", "fit_noise", "level_from_differences"]
+__all__ = ["LONGEST", "NoiseModel", "fit_noise", "level_from_differences"]
 
 Floats = NDArray[np.float64]
 LONGEST = 4

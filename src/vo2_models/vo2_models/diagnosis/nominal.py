@@ -124,7 +124,8 @@ class Nominal:
     model : as fitted, without effects
     parameters : the whole model file, for the corrected one
     digest : the calibration in short, None for a model file without it
-    noise : channel -> noise in judged units
+    noise : channel -> noise in judged units; on a device without body level and colour of what its fit left of the
+        calibration
     corrections : channel -> correction of the loop shape, from the digest (resistance and deflection)
     """
 
@@ -153,9 +154,16 @@ class Nominal:
             HEATER_CURRENT: digest.noise_current if digest else (),
         }
         noise = {}
+        has_body = preset(model.device).has_body
         for channel in CHANNELS:
             if stored.get(channel):
                 noise[channel] = NoiseModel(stored[channel][0], tuple(stored[channel][1:]))
+                continue
+            sensor = model.sensors.get(channel)
+            if sensor and sensor.residual > 0.0 and not has_body:
+                # the law of such a device misses it by far more than its sensor's noise: that is what it is judged by
+                shape = NoiseModel(1.0, sensor.residual_colour)
+                noise[channel] = shape.scaled(sensor.residual / shape.level)
                 continue
             level = model.sensors[channel].noise if channel in model.sensors else 0.0
             level = level or preset(model.device).noise.get(channel, 0.0)

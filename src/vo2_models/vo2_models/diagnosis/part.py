@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device import preset
+from vo2_models.diagnosis.check import JITTERED, SHORTEST, jitter_of
 from vo2_models.diagnosis.current_reading import as_commanded
 from vo2_models.diagnosis.nominal import Nominal, drive_of, judged
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
@@ -18,6 +19,8 @@ __all__ = ["Part", "prepare", "regular", "value_step"]
 Floats = NDArray[np.float64]
 BLIND = 3
 """Missing samples in a row after which the memory of the loops may be another."""
+AWAY = 0.1
+"""Share of its range by which the drive of a device without body must be able to move in a gap for that."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +68,10 @@ class Part:
 
 
 def regular(recording: Recording) -> Recording:
-    """Return the recording on the grid of its sample period, NaN where a sample is missing."""
+    """Return the recording on the grid of its sample period, NaN where a sample is missing; interpolated where stamps jitter."""
     dt = recording.sample_period_s
+    if jitter_of(recording) > JITTERED:
+        return _interpolated(recording, dt)
     place = np.rint((recording.time_s - recording.time_s[0]) / dt).astype(np.intp)
     if place[-1] == place.size - 1:
         return recording
@@ -77,6 +82,21 @@ def regular(recording: Recording) -> Recording:
         channels[name] = np.full(size, np.nan)
         channels[name][kept] = values[first]
     return Recording(recording.time_s[0] + np.arange(size) * dt, channels, recording.device)
+
+
+def _interpolated(recording: Recording, dt: float) -> Recording:
+    """The recording in straight lines between its samples, at regular times; NaN between those two periods apart."""
+    stamps = recording.time_s
+    time = np.arange(stamps[0], stamps[-1] + 0.5 * dt, dt)
+    after = np.searchsorted(stamps, time).clip(1, stamps.size - 1)
+    lonely = stamps[after] - stamps[after - 1] > 2.0 * dt
+    channels = {}
+    for name, values in recording.channels.items():
+        good = np.isfinite(values)
+        missing = lonely | (np.interp(time, stamps, good.astype(float)) < 1.0 - 1e-9)
+        filled = np.interp(time, stamps[good], values[good]) if good.any() else np.full(time.size, np.nan)
+        channels[name] = np.where(missing, np.nan, filled)
+    return Recording(time, channels, recording.device)
 
 
 def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") -> Part:
@@ -109,12 +129,12 @@ def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") 
         if channel == HEATER_CURRENT and nominal.digest:
             values = as_commanded(values, nominal.digest.current_reading)
         good = np.isfinite(values)
-        if np.count_nonzero(good) < 100:
+        if np.count_nonzero(good) < SHORTEST // 2:
             continue
         observed[channel] = np.where(good, values, 0.0)
         valid[channel] = good
     if not observed:
-        raise ValueError(f"{name}: no channel has 100 finite samples")
+        raise ValueError(f"{name}: no channel has {SHORTEST // 2} finite samples")
     comb = {}
     for channel in observed:
         raw = recording[channel][valid[channel]]
@@ -134,7 +154,16 @@ def _longest_blind(logged: Floats, nominal: Nominal, dt: float) -> tuple[tuple[i
         np.flatnonzero(np.diff(missing.astype(int)) == -1),
     )
     long = max(BLIND, 0.5 * nominal.model.scalars["thermal.time_constant"] / dt)
-    return tuple((int(b), int(e)) for b, e in zip(begin, end, strict=True) if e - b > long)
+    gaps = [(int(b), int(e)) for b, e in zip(begin, end, strict=True) if e - b > long]
+    if not preset(nominal.device).has_body:
+        gaps = [(b, e) for b, e in gaps if _wanders(logged, e - b)]
+    return tuple(gaps)
+
+
+def _wanders(logged: Floats, samples: int) -> bool:
+    """Whether a drive with no body behind it moves by more than `AWAY` of its range in so many samples, one time in ten."""
+    moves = np.abs(logged[samples:] - logged[:-samples])
+    return not np.nanquantile(moves, 0.9) < AWAY * (np.nanmax(logged) - np.nanmin(logged))
 
 
 def value_step(values: Floats) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from vo2_models.diagnosis.breakdown import one_loop
-from vo2_models.diagnosis.check import Finding, Unusable, check_recording
+from vo2_models.diagnosis.check import SHORTEST, Finding, Unusable, check_recording
 from vo2_models.diagnosis.consistency import check_consistency
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nominal import Nominal, Response, loop_ends
@@ -260,7 +260,7 @@ def _mask_uncovered(
         parts.append(replace(part, valid=valid))
     if not beyond:
         return parts, list(findings)
-    if count - beyond < 100:
+    if count - beyond < SHORTEST // 2:
         raise Unusable(
             f"recordings: {beyond} of {count} samples are outside of {covered}, which is what the calibration covers; "
             "fit a calibration that covers them"

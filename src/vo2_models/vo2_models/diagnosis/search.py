@@ -67,6 +67,8 @@ def search(
     first_use : whether the nominal device is refitted to all recordings; then the calibration fixes no constant
     """
     problem = located.problem
+    if located.within_misfit(limits):
+        return Search((), (), (), (), False, ())
     candidates = hypotheses(problem, located.nominal.device, located.remaining)
     if first_use:
         candidates = [without_absorbed(problem, hypothesis) for hypothesis in candidates]

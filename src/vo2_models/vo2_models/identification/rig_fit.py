@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vo2_models.device.description import DeviceDescription
 from vo2_models.device.model import DeviceModel, SensorModel
+from vo2_models.diagnosis.noise import LONGEST
 from vo2_models.hysteresis.law import Law
 from vo2_models.hysteresis.law_fit import FITTED
 from vo2_models.hysteresis.play_bank import PlayBank
@@ -126,7 +127,10 @@ def fit_rig(
         residual = float(np.sqrt(np.nanmean(fit.residual**2)))
         noise = device.noise.get(role, noise_of_recordings(recordings, role))
         sensors[role] = SensorModel(
-            noise=noise, residual=residual, misfit=misfit, residual_colour=residual_colour(fit.residual)
+            noise=noise,
+            residual=residual,
+            misfit=misfit,
+            residual_colour=residual_colour(fit.residual, LONGEST),
         )
         level = noise / np.log(10.0) if role == RESISTANCE else noise
         unit = "log10 ohm" if role == RESISTANCE else device.units[role]

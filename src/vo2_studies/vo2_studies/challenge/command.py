@@ -106,6 +106,7 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         help="conceal known changes in the measurements of this data folder, in place of drawn devices",
     )
+    parser.add_argument("--sets", default="", help="with --recordings: comma-separated, these devices only")
     parser.add_argument("--keep-bags", action="store_true", help="leave all bags in the output folder")
     parser.add_argument("--retry-failed", action="store_true", help="run cases without diagnosis again")
     parser.add_argument("--bags-only", action="store_true", help="write bags and answers, diagnose nothing")
@@ -181,7 +182,9 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
             raise ValueError(f"misfit: found {arguments.misfit}, need 0 to 0.3")
         settings: Settings | MeasuredSettings = Settings(arguments.seed, arguments.misfit, _choice(arguments))
         if arguments.recordings is not None:
-            settings = MeasuredSettings(arguments.seed, str(arguments.recordings.resolve()))
+            settings = MeasuredSettings(
+                arguments.seed, str(arguments.recordings.resolve()), _words(arguments.sets)
+            )
         plans = [settings.plan(index) for index in range(arguments.cases)]
         paths = Paths(arguments.output.resolve())
         _claim(paths, settings)
@@ -227,7 +230,7 @@ def _claim(paths: Paths, settings: Settings | MeasuredSettings) -> None:
             )
         return
     # without its settings nothing in it is ours
-    OutputFolder(paths.root, ("answers", "cases", "results", *_REPORTS)).check()
+    OutputFolder(paths.root, ("answers", "cases", "models", "results", *_REPORTS)).check()
     save_json(file, wanted)
 
 

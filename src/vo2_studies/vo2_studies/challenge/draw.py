@@ -59,6 +59,7 @@ class Case:
     calibration, test : what the rig recorded
     answer : JSON-ready truth
     document : content of its device file; None of a rig that is a preset
+    shared : name of a calibration that other cases have too, so that it is fitted once; empty for its own
     """
 
     plan: CasePlan
@@ -67,6 +68,7 @@ class Case:
     test: Recorded
     answer: dict
     document: Mapping[str, Any] | None = None
+    shared: str = ""
 
 
 @dataclass(frozen=True)

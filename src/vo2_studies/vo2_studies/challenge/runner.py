@@ -4,6 +4,7 @@
     DIR/cases/0007/calibration|test  bags; removed once the case is finished, unless they are to be kept
     DIR/cases/0007/device.yaml       data sheet of a rig that is no preset
     DIR/cases/0007/model.yaml, diagnosis/, *.log   what fit and diagnose wrote
+    DIR/models/NAME.yaml             fit of a calibration that several cases share
     DIR/results/0007.json            exit states, wall times, diagnosis; a case with this file is finished
 
 Every file appears under its final name only when whole, so an interrupt at any time loses at most a case.
@@ -79,6 +80,9 @@ class Paths:
     def case(self, index: int) -> Path:
         return self.root / "cases" / f"{index:04d}"
 
+    def model(self, calibration: str) -> Path:
+        return self.root / "models" / f"{calibration}.yaml"
+
     def result(self, index: int) -> Path:
         return self.root / "results" / f"{index:04d}.json"
 
@@ -136,8 +140,9 @@ class CaseRunner:
             return load_json(paths.result(index))
         folder = paths.case(index)
         shutil.rmtree(folder, ignore_errors=True)  # an interrupted try
-        device = write_case(self.settings.case(plan), paths)
-        result = self._diagnose(plan, folder, device)
+        case = self.settings.case(plan)
+        device = write_case(case, paths)
+        result = self._diagnose(plan, folder, device, paths.model(case.shared) if case.shared else None)
         if self.follow_up and result["diagnosis"] is not None:
             self._follow_up(plan, folder, result)
         save_json(paths.result(index), result)
@@ -154,7 +159,8 @@ class CaseRunner:
         for process in running:
             _end(process)
 
-    def _diagnose(self, plan: CasePlan, folder: Path, device: str) -> dict[str, Any]:
+    def _diagnose(self, plan: CasePlan, folder: Path, device: str, shared: Path | None) -> dict[str, Any]:
+        """Fit, unless the model of a shared calibration is there already, and diagnose."""
         result: dict[str, Any] = {
             "failure": "",
             "fit_seconds": None,
@@ -164,10 +170,17 @@ class CaseRunner:
         }
         # relative paths from inside the case's folder: nothing in the command line leads to the answers
         fit = [*self.fit, "--bag", "calibration", "--device", device, "--output", "model.yaml"]
-        failure, result["fit_seconds"] = self._process(fit, folder, "fit")
+        failure = ""
+        if shared is not None and shared.exists():
+            shutil.copyfile(shared, folder / "model.yaml")
+        else:
+            failure, result["fit_seconds"] = self._process(fit, folder, "fit")
         if not failure and not (folder / "model.yaml").exists():
             failure = "fit: wrote no model"
         if not failure:
+            if shared is not None and not shared.exists():
+                shared.parent.mkdir(exist_ok=True)
+                write_whole(shared, (folder / "model.yaml").read_text(encoding="utf-8"))
             command = [*self.diagnose, *_recordings(plan, "test"), "--output", "diagnosis"]
             failure, result["seconds"] = self._process(command, folder, "diagnose")
         if not failure:

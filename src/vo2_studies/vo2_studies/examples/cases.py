@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-__all__ = ["Case", "Example", "data_files", "held_out", "read_examples"]
+__all__ = ["Case", "Example", "curve_of", "data_files", "held_out", "read_examples"]
 
 _TOP = 0.05
 """Share of its span below its largest value from which a drive counts as back in saturation."""
@@ -86,7 +86,7 @@ def held_out(drive: NDArray[np.float64], hold: Mapping[str, float]) -> NDArray[n
     ways: dict[str, Callable[[], NDArray[np.bool_]]] = {
         "after": lambda: index >= hold["after"] * drive.size,
         "blocks": lambda: index // int(hold["of"]) % int(hold["blocks"]) == 1,
-        "curves": lambda: _curve(drive) % int(hold["curves"]) == 1,
+        "curves": lambda: curve_of(drive) % int(hold["curves"]) == 1,
     }
     for key, way in ways.items():
         if key in hold:
@@ -94,7 +94,7 @@ def held_out(drive: NDArray[np.float64], hold: Mapping[str, float]) -> NDArray[n
     raise ValueError(f"held_out: found {dict(hold)}, need one of {', '.join(ways)}")
 
 
-def _curve(drive: NDArray[np.float64]) -> NDArray[np.intp]:
+def curve_of(drive: NDArray[np.float64]) -> NDArray[np.intp]:
     """Number of the curve that each sample belongs to: it grows where the drive enters the top of its range."""
     top = drive > drive.max() - _TOP * float(np.ptp(drive))
     return np.cumsum(top & ~np.concatenate([[False], top[:-1]]))

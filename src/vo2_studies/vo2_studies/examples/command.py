@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from vo2_studies.examples.conditions import Asked
     from vo2_studies.examples.run import Outcome
 
 from vo2_models.command_line import refuse
@@ -22,6 +23,7 @@ its folder under `examples/`, and compare the error on held-out data with that o
 operator of the same data.
 """
 _OUTPUTS = ("examples.json", "report.html", "cases")
+_ASKED = ("conditions.json", "report.html", "conditions")
 _WANTED, _WANTED_MEDIAN = 0.9, 0.7
 
 
@@ -30,7 +32,12 @@ def main(args: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="examples", description=_DESCRIPTION, allow_abbrev=False)
     parser.add_argument("--output", type=Path, required=True, help="folder for page, figures and models")
     parser.add_argument("--data", type=Path, help="measured data (default: $VO2_DATA, or ../shared/data)")
-    parser.add_argument("--only", metavar="NAME", help="only this example")
+    parser.add_argument("--only", metavar="NAME", help="only this example, or only this condition")
+    parser.add_argument(
+        "--conditions",
+        action="store_true",
+        help="diagnose what the authors of the data changed, and set it beside an expert's answer (conditions.yaml)",
+    )
     options = parser.parse_args(args)
     try:
         return _run(options)
@@ -51,6 +58,8 @@ def _run(options: argparse.Namespace) -> int:
     data = options.data or data_folder()
     if data is None or not data.is_dir():
         raise ValueError(f"data: found {data or 'none'}, need the folder of measured recordings (--data)")
+    if options.conditions:
+        return _run_conditions(options, data)
     chosen = [one for one in read_examples(_examples_folder()) if options.only in (None, one.folder.name)]
     if not chosen:
         raise ValueError(f"--only: found {options.only!r}, need the name of a folder of examples")
@@ -67,6 +76,61 @@ def _run(options: argparse.Namespace) -> int:
     print(_verdict(outcomes))
     print(f"report: {options.output / 'report.html'}")
     return 0
+
+
+def _run_conditions(options: argparse.Namespace, data: Path) -> int:
+    from vo2_models.io.output_folder import OutputFolder
+
+    from vo2_studies.examples.cases import read_examples
+    from vo2_studies.examples.conditions import ask, read_conditions
+
+    folder = _examples_folder()
+    conditions = [c for c in read_conditions(folder / "conditions.yaml") if options.only in (None, c.id)]
+    if not conditions:
+        raise ValueError(f"--only: found {options.only!r}, need the id of a condition of conditions.yaml")
+    examples, found = read_examples(folder), []
+    with OutputFolder(options.output, _ASKED).replaced() as output:
+        for condition in conditions:
+            one = ask(condition, examples, data, output / "conditions")
+            found.append(one)
+            print(f"{condition.id}: {condition.changed}", flush=True)
+            print(f"  expert: {condition.expected}\n  tool:   {one.said}\n  {one.agreement}", flush=True)
+        rows = [
+            {"id": c.id, "expert": c.expected, "tool": one.said, "names": list(one.names), "agreement": one.agreement}
+            for one in found
+            for c in [one.condition]
+        ]  # fmt: skip
+        (output / "conditions.json").write_text(json.dumps(rows, indent=1), "utf-8")
+        (output / "report.html").write_text(_conditions_page(found), encoding="utf-8")
+    print(_counted(found))
+    print(f"report: {options.output / 'report.html'}")
+    return 0
+
+
+def _counted(found: Sequence[Asked]) -> str:
+    from vo2_studies.examples.conditions import AGREEMENT
+
+    counts = {word: sum(one.agreement == word for one in found) for word in AGREEMENT}
+    return f"of {len(found)} conditions: {', '.join(f'{n} {word}' for word, n in counts.items() if n)}"
+
+
+def _conditions_page(found: Sequence[Asked]) -> str:
+    from vo2_models.page.page import page, paragraph, section, table
+
+    rows = [
+        [one.condition.id, one.condition.changed, one.condition.expected, one.said, one.agreement]
+        for one in found
+    ]
+    header = ["condition", "what was changed", "expert's answer", "tool's answer", "how they agree"]
+    return page(
+        "Conditions that were changed",
+        "Measured data of other people: what a domain expert would answer, written down before the tool was run, and what "
+        "the tool says.",
+        [
+            section("Answers", table("Side by side", header, rows), paragraph(_counted(found))),
+            section("Sources", *(paragraph(f"{o.condition.id}: {o.condition.source}") for o in found)),
+        ],
+    )
 
 
 def _examples_folder() -> Path:

@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from vo2_models.device.description import described
 from vo2_models.recording import Recording
 
 from vo2_studies.challenge.draw import Case, Recorded
@@ -30,10 +31,15 @@ class MeasuredSettings:
 
     seed: int
     recordings: str
+    only: tuple[str, ...] = ()
 
     @cached_property
     def sets(self) -> list[MeasuredSet]:
-        return load_sets(Path(self.recordings))
+        found = load_sets(Path(self.recordings))
+        names = [one.name for one in found]
+        if unknown := sorted(set(self.only) - set(names)):
+            raise ValueError(f"sets: found {', '.join(unknown)}, need some of {', '.join(names)}")
+        return [one for one in found if not self.only or one.name in self.only]
 
     def plan(self, index: int) -> CasePlan:
         """Return the plan of case `index`: sets in turn, every third case unchanged, changes in shuffled decks."""
@@ -74,7 +80,13 @@ class MeasuredSettings:
             "counted": all(entry["ratio"] > COUNTED_RATIO for entry in entries),
         }
         return Case(
-            plan, None, Recorded(measured.calibration, None), Recorded(test, None), answer, measured.document
+            plan,
+            None,
+            Recorded(measured.calibration, None),
+            Recorded(test, None),
+            answer,
+            measured.document,
+            shared=measured.name,
         )
 
 
@@ -93,15 +105,18 @@ def _conceal(measured: MeasuredSet, test: Recording, change: Change, ratio: floa
 
     unit = measured.spread * float(scale)
     after, strength = changed(change, test.time_s, values, ratio * unit, moved)
-    family = f"{change.family}:{channel}" if change.family in ("sensor", "clock") else change.family
+    # a diagnosis calls channels by their roles
+    roles = {name: role for role, name in described(measured.document, measured.name).names.items()}
+    role = roles[channel]
+    family = f"{change.family}:{role}" if change.family in ("sensor", "clock") else change.family
     # a single response does not tell a structure that lags from its sensor
-    also = [f"sensor:{channel}"] if change.family in ("structure", "film") else []
+    also = [f"sensor:{role}"] if change.family in ("structure", "film") else []
     entry = {
         "id": change.id,
         "form": "measured",
         "siblings": [],
         "families": [family, *also],
-        "signal": channel if change.family in ("sensor", "clock") else None,
+        "signal": role if change.family in ("sensor", "clock") else None,
         "parameters": {
             change.parameter: {
                 "value": strength,
@@ -109,7 +124,7 @@ def _conceal(measured: MeasuredSet, test: Recording, change: Change, ratio: floa
             }
         },
         "ratio": moved(after) / unit,
-        "channels": [channel, measured.response],
+        "channels": [role, roles[measured.response]],
         "branch": "both",
         "absorbed_by_constant": False,
     }

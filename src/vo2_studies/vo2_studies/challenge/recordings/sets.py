@@ -19,8 +19,12 @@ from vo2_models.recording import Recording
 __all__ = ["MeasuredSet", "load_sets", "repeat_spread"]
 
 Array = NDArray[np.floating]
+MOST = 2000
+"""Most samples of a recording: of a longer one every second, third ... is taken, so that a case takes minutes."""
 BINS = 60
-"""Bins of the drive, for each direction, in which repeats are compared."""
+"""Bins of the drive, for each direction, in which repeats are compared, where there are samples for them."""
+PER_BIN = 8
+"""Samples of a recording for each bin."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +37,7 @@ class MeasuredSet:
     document : its device file
     drive, response, unit : channels, and the unit of the response
     calibration : recording that the model is fitted to
-    others : what it is ("half", "rerun", "remounted", "itself") -> another recording of the same device
+    others : what it is ("half", "sparse", "rerun", "remounted", "itself") -> another recording of the same device
     spread : r.m.s. distance of repeats, in the unit of the response (decades for ohm)
     """
 
@@ -60,13 +64,14 @@ def repeat_spread(first: Recording, second: Recording, drive: str, response: str
     if first is second:
         bends = np.diff(judged(first[response], unit), 2)
         return float(1.4826 * np.median(np.abs(bends)) / np.sqrt(6))
-    edges = np.linspace(float(first[drive].min()), float(first[drive].max()), BINS + 1)
+    bins = min(BINS, min(len(first), len(second)) // PER_BIN)
+    edges = np.linspace(float(first[drive].min()), float(first[drive].max()), bins + 1)
     found = []
     for recording in (first, second):
-        place = np.clip(np.searchsorted(edges, recording[drive]) - 1, 0, BINS - 1)
+        place = np.clip(np.searchsorted(edges, recording[drive]) - 1, 0, bins - 1)
         place = 2 * place + (np.gradient(recording[drive]) > 0)
-        count = np.bincount(place, minlength=2 * BINS)
-        total = np.bincount(place, judged(recording[response], unit), minlength=2 * BINS)
+        count = np.bincount(place, minlength=2 * bins)
+        total = np.bincount(place, judged(recording[response], unit), minlength=2 * bins)
         found.append(np.where(count > 2, total / np.maximum(count, 1), np.nan))
     return float(np.sqrt(np.nanmean((found[0] - found[1]) ** 2)))
 
@@ -74,7 +79,9 @@ def repeat_spread(first: Recording, second: Recording, drive: str, response: str
 def _measured(
     name: str, drive: tuple[str, str], response: tuple[str, str], calibration: Recording, **others: Recording
 ) -> MeasuredSet:
-    """Put a set together; drive and response are (channel, unit)."""
+    """Put a set together, with recordings of at most `MOST` samples; drive and response are (channel, unit)."""
+    calibration = _thinned(calibration)
+    others = {what: _thinned(recording) for what, recording in others.items()}
     drives = np.concatenate([r[drive[0]] for r in (calibration, *others.values())])
     low, high = float(drives.min()), float(drives.max())
     room = 0.05 * (high - low)
@@ -137,17 +144,39 @@ def _film(folder: Path) -> MeasuredSet:
     )
     channels = {"drive_voltage": table[:, 1], "film_resistance": table[:, 2]}
     whole = Recording(table[:, 0], channels, "vo2_film")
-    return _measured("vo2_film", ("drive_voltage", "V"), ("film_resistance", "ohm"), whole, itself=whole)
+    even, odd, sparse = (_every(whole, first, step) for first, step in ((0, 2), (1, 2), (1, 8)))
+    return _measured(
+        "vo2_film",
+        ("drive_voltage", "V"),
+        ("film_resistance", "ohm"),
+        even,
+        half=odd,
+        itself=even,
+        sparse=sparse,
+    )
+
+
+def _thinned(recording: Recording) -> Recording:
+    return _every(recording, 0, -(-len(recording) // MOST))
+
+
+def _every(recording: Recording, first: int, step: int) -> Recording:
+    """Return every `step`-th sample from `first` on: what a slower logger would have written."""
+    channels = {name: values[first::step] for name, values in recording.channels.items()}
+    return Recording(recording.time_s[first::step], channels, recording.device)
 
 
 def _magnet(folder: Path) -> MeasuredSet:
     """First-order reversal curves, every second one for the calibration; no stamps: the elapsed time in equal parts."""
     text = (folder / "magnetic_forc" / "UB199BF").read_text(encoding="latin-1")
-    curves = []
+    curves, before = [], []
     for block in text.split("\n\n"):
         pairs = [line.split(",") for line in block.split("\n") if line[:1] in "+-" and line.count(",") == 1]
-        if len(pairs) > 1:  # single points calibrate the magnetometer's drift
-            curves.append(np.array(pairs, dtype=float))
+        if len(pairs) > 1:
+            curves.append(np.array([*before, *pairs], dtype=float))
+            before = []
+        else:  # the drift calibration before a curve; it also tells where the field came from
+            before = pairs
     parts = []
     for first in (0, 1):
         table = np.concatenate(curves[first::2])
