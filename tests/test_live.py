@@ -79,7 +79,9 @@ def test_the_simulation_beside_a_device_marks_the_place_where_they_differ(model_
     assert np.all(np.isnan(same[:5])), "nobody knows the memory before the device has been cold"
     assert np.nanmax(same[:, 2]) == 0.0
     assert np.nanmean(np.abs(same[:, 1] - recording["tip_deflection"])) < 0.1e-6
-    clipped = {"adc_saturation": {"signal": "tip_deflection", "high": 40e-6}}
+    clipped: dict[str, dict[str, float | str]] = {
+        "adc_saturation": {"signal": "tip_deflection", "high": 40e-6}
+    }
     changed = beside(model_file, device.with_effects(clipped).simulate(levels(), seed=5))
     above = changed[:, 1] > 42e-6
     assert np.sum(above) > 500 and np.all(changed[above, 2] == 1.0)
@@ -106,6 +108,7 @@ def test_the_page_gets_what_the_simulation_expects(model_file):
     recording = DeviceModel.load(model_file).simulate(np.zeros(60), seed=5)
     with bench(["--ros-args", "-p", "port:=0", "-p", f"model:={model_file}"]) as rig:
         node = rig.add(LiveNode)
+        assert isinstance(node, LiveNode)
         assert json.loads(request(node.port, "GET", "/device").read())["model"] is True
         for k in range(60):
             sample = {name: float(recording[name][k]) for name in recording.channels}

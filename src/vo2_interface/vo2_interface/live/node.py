@@ -20,7 +20,7 @@ from vo2_interface.executable import node_main
 from vo2_interface.inputs import SampleInput
 from vo2_interface.live.frames import Frames
 from vo2_interface.live.server import LiveServer
-from vo2_interface.live.simulated import SimulatedBeside
+from vo2_interface.live.simulated import Expected, SimulatedBeside
 from vo2_interface.parameters import ParameterTable
 from vo2_interface.samples import SampleReader
 from vo2_interface.topics import (
@@ -86,11 +86,14 @@ class LiveNode(Node):
         self.get_logger().info(f"open http://127.0.0.1:{self.port}/ in a browser on this host")
 
     def _on_measurement(self, data: bytes) -> None:
-        stamp_ns, values = self._measurement.read(data)
-        if self._beside is None or stamp_ns == self._last_ns:
-            self._frames.measured(stamp_ns, *values)
-        else:
-            self._frames.measured(stamp_ns, *values, self._beside.step(stamp_ns, *values))
+        stamp_ns, (current, resistance, deflection) = self._measurement.read(data)
+        # the plant repeats a sample until it is answered
+        if stamp_ns == self._last_ns:
+            return
+        expected = Expected()
+        if self._beside is not None:
+            expected = self._beside.step(stamp_ns, current, resistance, deflection)
+        self._frames.measured(stamp_ns, current, resistance, deflection, expected)
         self._last_ns = stamp_ns
 
     def _on_estimate(self, data: bytes) -> None:

@@ -73,6 +73,7 @@ class SimulatedBeside:
             left = max(noise, sensor.residual, sensor.misfit)
             self._most[name] = max(_DIFFERS * left, _LEAST * ranges[name])
         self._stamp_ns = -1
+        self._held, self._cold_s, self._known = device.safe, 0.0, False
         self._restart()
 
     def step(self, stamp_ns: int, current: float, resistance: float, deflection: float) -> Expected:
@@ -107,7 +108,8 @@ class SimulatedBeside:
         judged = [
             far[name] > most for name, most in self._most.items() if math.isfinite(far.get(name, math.nan))
         ]
-        return Expected(*expected.values(), float(any(judged)) if judged else math.nan)
+        differs = float(any(judged)) if judged else math.nan
+        return Expected(expected[RESISTANCE], expected[TIP_DEFLECTION], differs)
 
     def _restart(self) -> None:
         self._stepper = self._model.stepper(dt=self._period, noise=False)
