@@ -66,7 +66,7 @@ def test_parameters_and_result_are_told(function):
 # an example that is only shown is none
 EXAMPLES = sorted(
     ".".join(path.relative_to(ROOT / "src" / library).with_suffix("").parts).removesuffix(".__init__")
-    for library in LIBRARIES
+    for library in (*LIBRARIES, "vo2_studies")
     for path in (ROOT / "src" / library / library).rglob("*.py")
     if re.search(r"^\s*>>> (?!.*\+SKIP)", path.read_text(encoding="utf-8"), re.MULTILINE)
 )

@@ -68,6 +68,7 @@ def test_a_node_with_warm_kernels_starts_within_its_time(name):
     assert used_s <= MOST_START_S
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("count", [2, pytest.param(100, marks=pytest.mark.slow)])
 def test_ctrl_c_once_or_twice_ends_a_node_at_any_time(tmp_path, count):
     """Half of the nodes with cold kernels; the signals come at any time of the first three seconds."""

@@ -19,6 +19,7 @@ MOST_SAMPLES = 3
 COMMANDED_A = 6e-3
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("count", [20, pytest.param(1000, marks=pytest.mark.slow)])
 def test_an_emergency_stop_takes_few_samples_whatever_is_commanded(count):
     """The commander of this test does not obey: the device's node does."""

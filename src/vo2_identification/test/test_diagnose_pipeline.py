@@ -42,21 +42,6 @@ def test_an_unchanged_device_agrees(parameters) -> None:
     validate(answer.to_dict())
 
 
-def test_the_cores_are_not_taken_twice(parameters) -> None:
-    def threads() -> set[int]:
-        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
-
-    during = []
-    with threadpool_limits(2, user_api="blas"):
-        study(
-            [concealed()],
-            parameters,
-            progress=lambda share, text: during.append(threads()) if share > 0 else None,
-        )
-        assert threads() == {2}
-    assert during and all(each == {1} for each in during)
-
-
 @pytest.mark.parametrize("device_seed", [9001, 9005])
 def test_a_calibration_at_one_rate_raises_no_alarm_at_another(device_seed) -> None:
     found = calibrated(device_seed)
@@ -89,8 +74,33 @@ def test_the_tangent_of_a_lag_takes_the_loops_along(parameters) -> None:
 
 
 @pytest.fixture(scope="module")
-def creeping(parameters):
-    return study([concealed({"creep": {"share": 0.06, "time_constant": 0.2}})], parameters)
+def watched(parameters):
+    """A study of a device that creeps, and how many threads linear algebra had before, during and after it."""
+
+    def threads() -> set[int]:
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    during: list[set[int]] = []
+
+    def look(share: float, text: str) -> None:
+        if share > 0:
+            during.append(threads())
+
+    with threadpool_limits(2, user_api="blas"):
+        before = threads()
+        seen = study([concealed({"creep": {"share": 0.06, "time_constant": 0.2}})], parameters, progress=look)
+        return seen, before, during, threads()
+
+
+@pytest.fixture(scope="module")
+def creeping(watched):
+    return watched[0]
+
+
+def test_the_cores_are_not_taken_twice(watched) -> None:
+    _, before, during, after = watched
+    assert before == after == {2}
+    assert during and all(each == {1} for each in during)
 
 
 def test_creep_is_named_located_and_measured(creeping, tmp_path) -> None:

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from vo2_models.hysteresis.preisach.measured import data_folder
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, Recording
 from vo2_studies.measured.cases import Case, cases_of
 from vo2_studies.measured.command import main
 from vo2_studies.measured.laws import LAWS, compare_laws
 from vo2_studies.measured.sources import SOURCES, as_bags
+from vo2_studies.preisach.measured import data_folder
 
 FOUND = data_folder()
 DATA = FOUND or Path()

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from vo2_models.hysteresis.preisach import PreisachOperator
-from vo2_models.hysteresis.preisach.beam import (
+from vo2_models.hysteresis.preisach.inverse import PreisachInverse
+from vo2_models.hysteresis.preisach.nonmonotonic import NonMonotonicPreisach, fit_nonmonotonic
+from vo2_models.hysteresis.preisach.nonmonotonic_inverse import NonMonotonicInverse
+from vo2_studies.preisach.beam import (
     curvature_from_deflection,
     deflection_from_curvature,
     largest_deflection,
 )
-from vo2_models.hysteresis.preisach.inverse import PreisachInverse
-from vo2_models.hysteresis.preisach.nonmonotonic import NonMonotonicPreisach, fit_nonmonotonic
-from vo2_models.hysteresis.preisach.nonmonotonic_inverse import NonMonotonicInverse
-from vo2_models.hysteresis.preisach.polynomial import fit_polynomial
 from vo2_studies.preisach.nonmonotonic_study import PUBLISHED_PERCENT, nonmonotonic_study
+from vo2_studies.preisach.polynomial import fit_polynomial
 
 SEED = st.integers(0, 2**32 - 1)
 

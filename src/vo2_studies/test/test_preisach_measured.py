@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from vo2_models.hysteresis.preisach import PreisachOperator
-from vo2_models.hysteresis.preisach.measured import (
+from vo2_models.hysteresis.preisach.smooth_fit import fit_smooth, roughness
+from vo2_models.identification.excitation import damped_oscillation, first_order_reversal_fan
+from vo2_studies.preisach.measured import (
     data_folder,
     read_piezo,
     read_reversal_curves,
     read_voltage_sweep,
 )
-from vo2_models.hysteresis.preisach.smooth_fit import fit_smooth, roughness
-from vo2_models.identification.excitation import damped_oscillation, first_order_reversal_fan
 from vo2_studies.preisach.measured_study import (
     magnetic_range_study,
     magnetic_study,

@@ -49,11 +49,11 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from vo2_models.hysteresis.preisach.measured import data_folder
     from vo2_models.io.output_folder import OutputFolder
 
     from vo2_studies.examples.cases import read_examples
     from vo2_studies.examples.run import run_case
+    from vo2_studies.preisach.measured import data_folder
 
     data = options.data or data_folder()
     if data is None or not data.is_dir():

@@ -43,7 +43,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     from vo2_studies.measured.sources import SOURCES
 
     options = _parser(tuple(SOURCES)).parse_args(arguments)
-    from vo2_models.hysteresis.preisach.measured import data_folder
+    from vo2_studies.preisach.measured import data_folder
 
     data = options.data or data_folder()
     if data is None or not data.is_dir():

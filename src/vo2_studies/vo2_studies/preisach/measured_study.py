@@ -32,16 +32,17 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from vo2_models.hysteresis.preisach.everett_rows import everett_rows, node_values
 from vo2_models.hysteresis.preisach.interior_point import nonnegative_masses
-from vo2_models.hysteresis.preisach.measured import (
+from vo2_models.hysteresis.preisach.operator import PreisachOperator
+from vo2_models.hysteresis.preisach.signed_area import signed_area_matrix
+from vo2_models.hysteresis.preisach.smooth_fit import STRENGTHS, SmoothFit, fit_smooth
+
+from vo2_studies.preisach.measured import (
     ReversalCurves,
     data_folder,
     read_piezo,
     read_reversal_curves,
     read_voltage_sweep,
 )
-from vo2_models.hysteresis.preisach.operator import PreisachOperator
-from vo2_models.hysteresis.preisach.signed_area import signed_area_matrix
-from vo2_models.hysteresis.preisach.smooth_fit import STRENGTHS, SmoothFit, fit_smooth
 
 __all__ = [
     "LEVELS",

@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from vo2_models.device import truth
 from vo2_models.device.description import preset
-from vo2_models.hysteresis.preisach.beam import curvature_from_deflection
 from vo2_models.hysteresis.preisach.least_squares import fit_preisach
 from vo2_models.hysteresis.preisach.nonmonotonic import fit_nonmonotonic
 from vo2_models.hysteresis.preisach.nonmonotonic_inverse import NonMonotonicInverse
-from vo2_models.hysteresis.preisach.polynomial import fit_polynomial
 from vo2_models.identification.excitation import damped_oscillation, random_levels
 from vo2_models.recording import TIP_DEFLECTION
+
+from vo2_studies.preisach.beam import curvature_from_deflection
+from vo2_studies.preisach.polynomial import fit_polynomial
 
 __all__ = ["MODELS", "PUBLISHED_PERCENT", "NonMonotonicStudy", "main", "nonmonotonic_study"]
 

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from vo2_models.device import truth
 from vo2_models.device.description import preset
 from vo2_models.hysteresis.fitting_gpi import PlayFit, fit_play_model
-from vo2_models.hysteresis.preisach.beam import curvature_from_deflection
 from vo2_models.identification.excitation import damped_oscillation
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
+
+from vo2_studies.preisach.beam import curvature_from_deflection
 
 __all__ = ["COLD", "HOT", "cantilever", "excitation", "film", "fitted_resistance"]
 

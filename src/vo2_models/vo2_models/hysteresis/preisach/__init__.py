@@ -3,13 +3,13 @@
 - `operator`, `grid`: the operator with piecewise-constant density, its cells;
   `kernels` holds the compiled step, for other compiled loops
 - `inverse`: the exact inverse of a monotone operator
-- `nonmonotonic`, `nonmonotonic_inverse`, `beam`, `polynomial`: chapter 5
+- `nonmonotonic`, `nonmonotonic_inverse`: chapter 5
 - `signed_area`, `damped`, `everett_rows`, `least_squares`, `nnls`, `interior_point`, `smooth_fit`: identification, at any
   level, of densities that are not negative or of either sign
 - `compressive_sensing`, `basis_pursuit`: identification from few measurements, chapter 4
 - `compression`: coarser grids with least loss of information, chapter 2
-- `monte_carlo`, `compressive_device_study`, `compression_study`, `nonmonotonic_study`, `measured_study`: the
-  comparisons of chapters 2, 4 and 5 and the measured recordings; each is a command, `python -m ...`
+
+The comparisons of chapters 2, 4 and 5 and with measured recordings are in `vo2_studies.preisach`.
 
 Nothing is loaded before it is used:
 
@@ -39,7 +39,6 @@ _HOME = {
     "PreisachOperator": "operator",
     "compress": "compression",
     "fit_nonmonotonic": "nonmonotonic",
-    "fit_polynomial": "polynomial",
     "fit_preisach": "least_squares",
     "fit_smooth": "smooth_fit",
     "identify_compressed": "compressive_sensing",

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from vo2_models.hysteresis.preisach.nonmonotonic import fit_nonmonotonic
 from vo2_models.hysteresis.preisach.nonmonotonic_inverse import NonMonotonicInverse
-from vo2_models.hysteresis.preisach.polynomial import fit_polynomial
 from vo2_models.identification.excitation import random_levels
 
 from vo2_studies.preisach.nonmonotonic_study import LEVEL, PUBLISHED_PERCENT, TRANSITION, nonmonotonic_study
+from vo2_studies.preisach.polynomial import fit_polynomial
 from vo2_studies.reproduce.claims import Claim, Context, Figure, Section, at_most, within, within_or_below
 from vo2_studies.reproduce.figures import draw
 from vo2_studies.reproduce.film import COLD, HOT, cantilever, excitation

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
 from vo2_models.validation import finite_array, positive_number
 
 __all__ = ["curvature_from_deflection", "deflection_from_curvature", "largest_deflection"]

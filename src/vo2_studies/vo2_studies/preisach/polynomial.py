@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
-
 from vo2_models.validation import finite_array
 
 __all__ = ["PolynomialModel", "fit_polynomial"]
