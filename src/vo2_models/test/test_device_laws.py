@@ -118,10 +118,18 @@ def test_a_resistance_law_without_an_inverse_is_told_in_one_line():
         self_sensing("composite", parameters)
 
 
-@pytest.mark.parametrize("name", sorted(set(LAWS) - set(ADDED)))
+@NAMES
 def test_a_law_is_scaled(name):
     path = np.concatenate([np.linspace(22.0, 90.0, 60), np.linspace(90.0, 50.0, 40)])
     law = LAWS[name]
     scaled = scaled_law(law, 1.1, 0.2)
     assert type(scaled) is type(law)
     assert scaled.run(path) == pytest.approx(1.1 * law.run(path) + 0.2, rel=1e-9)
+
+
+def test_a_law_that_cannot_be_moved_is_told(monkeypatch):
+    free = {name: text for name, text in BoucWen.described.items() if name != "polynomial"}
+    monkeypatch.setattr(BoucWen, "described", free)
+    assert scaled_law(LAWS["bouc_wen"], 2.0, 0.0).amplitude == 2.0 * LAWS["bouc_wen"].amplitude
+    with pytest.raises(ValueError, match="found 'bouc_wen' without polynomial or bias, need one of them"):
+        scaled_law(LAWS["bouc_wen"], 1.0, 0.2)

@@ -7,7 +7,7 @@ To add a law, add a file to this folder that ends with `EXAMPLE`, one such law o
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any
@@ -82,6 +82,8 @@ def law_from_parameters(section: str, values: Mapping[str, Value]) -> Law:
 def scaled_law(law: Law, gain: float, zero: float) -> Law:
     """Return the law whose output is gain times that of `law`, plus `zero`.
 
+    The parameters whose unit in `described` begins with that of the output take the gain, `polynomial` or `bias` the zero.
+
     Parameters
     ----------
     law : of a model file
@@ -90,30 +92,30 @@ def scaled_law(law: Law, gain: float, zero: float) -> Law:
 
     Raises
     ------
-    ValueError : a law of this folder, whose parameters are not known here.
+    ValueError : a law that no model file holds, or one with no constant part to take `zero`.
     """
     if gain == 1.0 and zero == 0.0:
         return law
-    if type(law) not in _OWN:
-        raise ValueError(
-            f"law: found {law.name!r}, need one of {', '.join(one.name for one in _OWN)} to be scaled"
-        )
+    if type(law) not in FILED.values():
+        raise ValueError(f"law: found {law.name!r}, need one of {', '.join(FILED)} to be scaled")
     if isinstance(law, NonMonotonicPreisach):
         operator: Any = scaled_law(law.operator, gain, zero)
         return replace(law, operator=operator, k0=gain * law.k0, k1=gain * law.k1)
-    given = {part.name: getattr(law, part.name) for part in fields(law)}  # type: ignore[arg-type]
     changes: dict[str, Any] = {
-        name: gain * np.asarray(given[name])
-        for name in ("weights", "density", "amplitude", "lower", "upper")
-        if name in given
+        name: np.array(gain * np.asarray(getattr(law, name), dtype=np.float64))
+        for name, (unit, _) in law.described.items()
+        if unit.startswith("{y}")
     }
-    if "polynomial" in given:
-        coefficients = gain * np.asarray(given["polynomial"])
-        changes["polynomial"] = coefficients if coefficients.size else np.zeros(1)
-        changes["polynomial"][0] += zero
-    else:
-        changes["bias"] = gain * given["bias"] + zero
-    return replace(law, **changes)  # type: ignore[type-var]
+    constant = next((name for name in ("polynomial", "bias") if name in changes), None)
+    if constant is not None:
+        coefficients = changes[constant] if changes[constant].size else np.zeros(1)
+        coefficients.flat[0] += zero
+        changes[constant] = coefficients
+    elif zero != 0.0:
+        raise ValueError(
+            f"law: found {law.name!r} without polynomial or bias, need one of them to move its output"
+        )
+    return replace(law, **{name: value if value.ndim else float(value) for name, value in changes.items()})  # type: ignore[type-var]
 
 
 def law_parameters(section: str, what: str, unit: str) -> tuple[Parameter, ...]:
