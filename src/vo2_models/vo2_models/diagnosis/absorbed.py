@@ -15,7 +15,7 @@ equation that is 7 % off leaves as much."""
 
 
 def without_absorbed(problem: LinearisedProblem, hypothesis: Hypothesis) -> Hypothesis:
-    """The hypothesis without those magnitudes beside its first that the refitted nominal device takes up.
+    """Return the hypothesis without those magnitudes beside its first that the refitted nominal device takes up.
 
     The steady gain that comes with a late part, for instance, is the height of a loop that is fitted anew: left free it
     trades with that height until it comes to a bound, and takes what can be told along.

@@ -57,6 +57,10 @@ def adequacy_of(option: Option, problem: LinearisedProblem, limits: Limits) -> A
     option : the explanation with the problem about it
     problem : without effects, which the gain is told against
     limits : below which excess nothing is looked for
+
+    Returns
+    -------
+    gain of the option, what it leaves over, and how much of that functions without a name predict
     """
     final, gain = option.final, option.chosen.gain
     left = final.count * option.remaining

@@ -65,6 +65,10 @@ def breakdown(problem: LinearisedProblem, residual: Floats, *, floor: float = 1.
     problem : the problem
     residual : (N,) whitened, what is split
     floor : energy per sample that is noise: 1 for a residual, 0 for what a model says
+
+    Returns
+    -------
+    one per channel
     """
     found = []
     for channel in dict.fromkeys(row.channel for row in problem.rows):
@@ -136,10 +140,15 @@ def _history(temperature: Floats) -> tuple[NDArray[np.int64], Floats, NDArray[np
 
 
 def one_loop(paths: Sequence[Floats], periods: Sequence[float]) -> bool:
-    """Whether these paths of the film, (n,) [degC] each with its sampling period [s], are one and the same loop.
+    """Return whether these paths of the film are one and the same loop.
 
     They are where they turn at fewer than `LEVELS` temperatures and no crossing of the range is `RATES` times as fast as
     another: there is one history then, and an error in the loop's shape, a lag and a drift can hardly be told apart.
+
+    Parameters
+    ----------
+    paths : temperatures (n,) of each recording [degC]
+    periods : their sample periods [s]
     """
     low, high = (float(end(np.concatenate(paths))) for end in (np.min, np.max))
     span = max(high - low, 1e-9)
@@ -159,7 +168,12 @@ def one_loop(paths: Sequence[Floats], periods: Sequence[float]) -> bool:
 
 
 def turning_points(temperature: Floats) -> tuple[Floats, Floats]:
-    """Last turning point, and the one that is still remembered before it, per sample (n,) [degC]."""
+    """Return the last turning point, and the one still remembered before it, per sample (n,) [degC].
+
+    Parameters
+    ----------
+    temperature : (n,) of the film [degC]
+    """
     last, before, _ = _turns(np.ascontiguousarray(temperature), 1e-3 * max(float(np.ptp(temperature)), 1e-9))
     return last, before
 
@@ -200,7 +214,13 @@ def _turns(temperature, dead):
 
 
 def locate(problem: LinearisedProblem, parts: Sequence[Breakdown]) -> list[Location]:
-    """Summarise a breakdown per channel: shares that add up to one over the channels with an excess."""
+    """Summarise a breakdown per channel, most excess first; return shares that add up to one over the channels with an excess.
+
+    Parameters
+    ----------
+    problem : of the recordings
+    parts : as `breakdown` returns them
+    """
     positive = [b for b in parts if b.excess > 0]
     total = sum(b.excess for b in positive)
     found = []

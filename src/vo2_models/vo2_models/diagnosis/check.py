@@ -45,6 +45,12 @@ class Finding:
 def check_recording(recording: Recording, nominal: Nominal, *, name: str = "recording") -> list[Finding]:
     """Return what limits a diagnosis with this recording.
 
+    Parameters
+    ----------
+    recording : as it was read
+    nominal : simulation of the device that it should be of
+    name : of the recording, for messages
+
     Raises
     ------
     Unusable : another device, no usable channel, too short, constant drive, nothing but noise, a wrong clock.
@@ -121,7 +127,12 @@ def _mixed_up(recording: Recording, nominal: Nominal) -> str:
 
 
 def jitter_of(recording: Recording) -> float:
-    """Return the share of the sample periods, gaps apart, that differ from the median by over a fifth of it."""
+    """Return the share of the sample periods, gaps apart, that differ from the median by over a fifth of it.
+
+    Parameters
+    ----------
+    recording : its times are read
+    """
     steps = np.diff(recording.time_s) / recording.sample_period_s
     steps = steps[steps <= 1.5]
     return float(np.mean(np.abs(steps - 1.0) > 0.2)) if steps.size else 1.0

@@ -61,6 +61,10 @@ def stand_in(study: Study) -> StandIn | None:
 
     One or two effects, by held-out blocks: what the search has refitted, and a second beside the best that need not be one
     which could be named.
+
+    Parameters
+    ----------
+    study : of the recordings, as `study` returns it
     """
     located, found = study.located, study.search
     if study.decision.verdict != "differs" or study.decision.chosen is not None or not found.singles:

@@ -27,12 +27,17 @@ FEWEST, MOST = 6, 96
 
 
 def knots_of(problem: LinearisedProblem) -> int:
-    """Splines over each recording."""
+    """Return the number of splines over each recording.
+
+    Parameters
+    ----------
+    problem : tells how many recordings there are
+    """
     return int(np.clip(MOST // len(problem.parts), FEWEST, KNOTS))
 
 
 def with_courses(problem: LinearisedProblem, hypotheses: Sequence[Hypothesis]) -> LinearisedProblem:
-    """The same problem, in whose nuisance model these effects may bend in time.
+    """Return the same problem, in whose nuisance model these effects may bend in time.
 
     Parameters
     ----------
@@ -50,9 +55,14 @@ def with_courses(problem: LinearisedProblem, hypotheses: Sequence[Hypothesis]) -
 
 
 def course_columns(problem: LinearisedProblem, hypothesis: Hypothesis) -> Floats:
-    """Whitened columns of one effect (N, 1 + c): its straight line, then random walks from spline to spline without it.
+    """Return whitened columns of one effect (N, 1 + c): its straight line, then random walks from spline to spline without it.
 
     A unit of a walk is a step as large as typical magnitudes make over the recording.
+
+    Parameters
+    ----------
+    problem : whose nuisance model is to take the course
+    hypothesis : of a record with a `course`
     """
     name = hypothesis.record.course
     typical = {n: 0.0 if n in hypothesis.magnitudes else v for n, v in hypothesis.starts[0].items()}
@@ -72,7 +82,14 @@ def course_columns(problem: LinearisedProblem, hypothesis: Hypothesis) -> Floats
 
 
 def gain_of_course(problem: LinearisedProblem, columns: Floats, left: Floats) -> float:
-    """Drop of chi-square by columns (N, 1 + c), `left` (N,) being what the nuisance model leaves of the residual."""
+    """Return the drop of chi-square by the columns of a course.
+
+    Parameters
+    ----------
+    problem : with its nuisance model
+    columns : (N, 1 + c), as `course_columns` returns them
+    left : (N,) what the nuisance model leaves of the residual
+    """
     gram = columns.T @ problem.apply_inverse_covariance(columns)
     gram[np.diag_indices_from(gram)] += 1.0
     along = left @ columns

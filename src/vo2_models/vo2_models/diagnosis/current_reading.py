@@ -26,7 +26,7 @@ STILL = 3.0
 
 
 def current_reading(recording: Recording) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Offset [A] and gain of a calibration's current reading, and its noise (innovation [A], AR terms).
+    """Return offset [A] and gain of a calibration's current reading, and its noise (innovation [A], AR terms).
 
     reading = offset + gain command + noise, by least squares. Both are empty where that says nothing of the current: where
     the log only repeats the command, was read fewer than a hundred times, or does not follow the command.
@@ -55,10 +55,22 @@ def current_reading(recording: Recording) -> tuple[tuple[float, ...], tuple[floa
 
 
 def as_commanded(reading: Floats, line: Sequence[float]) -> Floats:
-    """The command that a reading (n,) [A] stands for, by its offset [A] and gain."""
+    """Return the command (n,) [A] that a reading stands for.
+
+    Parameters
+    ----------
+    reading : (n,) [A]
+    line : its offset [A] and gain; empty where they are not known
+    """
     return (reading - line[0]) / line[1] if line else reading
 
 
 def between_samples(reading: Floats, noise: float) -> Floats:
-    """Half of what a reading (n,) moves within a sample, beyond its noise: mean and last value differ by as much."""
+    """Return half of what a reading moves within a sample, beyond its noise: mean and last value differ by as much.
+
+    Parameters
+    ----------
+    reading : (n,) [A]
+    noise : its standard deviation [A]
+    """
     return 0.5 * np.maximum(np.abs(np.diff(reading, prepend=reading[:1])) - STILL * noise, 0.0)

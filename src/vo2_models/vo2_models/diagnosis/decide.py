@@ -90,7 +90,20 @@ class _Verdict:
 
 
 def decide(located: Located, found: Search, reading: Reading, limits: Limits, clock: Clock) -> Decision:
-    """Judge the options on held-out blocks; name the first that is adequate, else describe what has no name."""
+    """Judge the options on held-out blocks; name the first that is adequate, else describe what has no name.
+
+    Parameters
+    ----------
+    located : the problem without effects
+    found : what the search has refitted
+    reading : of the recordings
+    limits : of the decisions
+    clock : told what is being done
+
+    Returns
+    -------
+    verdict, what is named and what might look the same
+    """
     clock.say("judging on held-out blocks")
     folds = recording_folds(located.problem, reading.calibrations) or block_folds(located.problem)
     verdict = _judged(located, found, folds, limits, clock)

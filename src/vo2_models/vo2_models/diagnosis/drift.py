@@ -49,11 +49,16 @@ class Drift:
 
 
 def drift_of(problem: LinearisedProblem, residual: Floats) -> Drift:
-    """Posterior of the drifting constants, given a whitened residual (N,) about the model's own constants.
+    """Return the posterior of the drifting constants.
 
     The covariance is (B'B + I)^-1 of the whole nuisance model. It is widened by the sandwich: the influence of each
     sample on an estimate, times what is left of the residual, summed over long blocks, scatters as the deviation says
     only if the residual is noise.
+
+    Parameters
+    ----------
+    problem : without effects
+    residual : (N,) whitened, about the model's own constants
     """
     first = problem.nuisance.shape[1] - len(problem.constants)
     places = [k for k, c in enumerate(problem.constants) if c.drifts]

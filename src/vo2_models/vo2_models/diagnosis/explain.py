@@ -271,10 +271,18 @@ def switched(
     *,
     tick: Callable[[], None] = lambda: None,
 ) -> dict[str, float]:
-    """Start values with the times of switching found by search: a fit by derivatives does not see past an edge.
+    """Return start values with the times of switching found by search: a fit by derivatives does not see past an edge.
 
     Each time is moved by a twentieth of the recording, then by half of that and so on, as long as the gain with the best
     magnitude grows.
+
+    Parameters
+    ----------
+    problem : without the effect
+    hypothesis : the effect
+    start : its values, by parameter
+    residual : (N,) whitened
+    tick : called once per simulation
     """
     values = dict(start)
     names = [n for n in hypothesis.switches if abs(values.get(n, np.inf)) < HUGE]
@@ -326,6 +334,10 @@ def fit_jointly(
     hypotheses, starts : what is added, and where to begin
     iterations : at most
     tick : called once per simulation
+
+    Returns
+    -------
+    the best values, their covariance, and the drop of chi-square against no effect
     """
     values = [dict(start) for start in starts]
     coordinates = tuple(

@@ -39,7 +39,7 @@ BY_DEPENDENCE = {
 def family_of_unnamed(
     problem: LinearisedProblem, excess: Mapping[str, float], shapes: Sequence[Shape]
 ) -> str:
-    """Family of what has no name, from the channels in which it shows and from what the correction depends on.
+    """Return the family of what has no name, by the channels in which it shows and by what the correction depends on.
 
     Something upstream of the film changes a temperature, and a temperature shows in resistance and deflection by their
     sensitivities to it. Where one of the two has next to nothing of what the other's excess would make of it, only that

@@ -22,6 +22,13 @@ def write_results(
 ) -> Diagnosis:
     """Write `RESULTS` into `folder`, each whole or not at all; return the diagnosis.
 
+    Parameters
+    ----------
+    study : of the recordings
+    folder : is made where it does not exist
+    problems : what reading the bags had to say, for the limits
+    seconds : that it all took, for the page; those of the study by default
+
     Raises
     ------
     ValueError : a result that cannot be written down; nothing is written.

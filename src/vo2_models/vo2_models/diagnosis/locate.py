@@ -53,7 +53,14 @@ class Located:
 
 
 def locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
-    """Build the problem, refit its nuisance parameters, and split what is left along every axis."""
+    """Build the problem, refit its nuisance parameters, and split what is left along every axis; return all of it.
+
+    Parameters
+    ----------
+    reading : of the recordings
+    limits : of the decisions
+    clock : told what is being done
+    """
     nominal = reading.nominal
     problem = linearise_problem(
         nominal,

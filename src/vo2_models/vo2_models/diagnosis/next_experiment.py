@@ -63,7 +63,17 @@ class Excitable:
 
 
 def library(device: str, dt: float) -> list[Excitable]:
-    """Excitations within the operating range of a device, each of about `SAMPLES` samples."""
+    """Return excitations within the operating range of a device, each of about `SAMPLES` samples.
+
+    Parameters
+    ----------
+    device : preset or path of a device file
+    dt : sample period [s]
+
+    Raises
+    ------
+    ValueError : an operating range whose ends are equal.
+    """
     nominal = preset(device)
     cold, hot = nominal.operating_range
     low, high = (nominal.steady_temperature(i) for i in (cold, hot))
@@ -134,7 +144,21 @@ def propose(
     names: tuple[str, str],
     say: Callable[[str], None] = lambda text: None,
 ) -> NextExperiment:
-    """Return the experiment that separates two explanations best, or what to change by hand."""
+    """Return the experiment that separates two explanations best, or what to change by hand.
+
+    Parameters
+    ----------
+    problem : of the recordings; its first part gives sample period and noise
+    nominal : fitted simulation
+    first, second : explanations that the recordings do not tell apart
+    limits : how many standard deviations separate
+    names : of the two, for the words
+    say : called with what is being done
+
+    Raises
+    ------
+    ValueError : no excitation for this device.
+    """
     part = problem.parts[0]
     cold = preset(nominal.device).operating_range[0]
     best: tuple[float, Excitable] | None = None
@@ -175,7 +199,12 @@ def propose(
 
 
 def by_hand(mimics: Sequence[Hypothesis]) -> NextExperiment | None:
-    """What to do about effects that act all the time and so cannot be told from a changed constant; None for none."""
+    """Return what to do about effects that act all the time and so cannot be told from a changed constant; None for none.
+
+    Parameters
+    ----------
+    mimics : such effects
+    """
     if not mimics:
         return None
     names = [h.record.id for h in mimics]

@@ -95,10 +95,14 @@ class NoiseModel:
 
 
 def level_from_differences(x: Floats) -> float:
-    """Robust level of white noise on a signal that is smooth over three samples [unit of x].
+    """Return the robust level of white noise on a signal that is smooth over three samples [unit of x].
 
     Median of second differences, which a linear trend does not reach; for positively correlated noise it
     is a lower bound.
+
+    Parameters
+    ----------
+    x : (n,) samples at equal distances
     """
     second = x[2:] - 2 * x[1:-1] + x[:-2]
     if second.size == 0:
@@ -116,6 +120,10 @@ def fit_noise(
     residual : (n,) what a good model leaves over; outliers beyond 5 robust deviations are set to zero
     valid : (n,) samples that count
     order : highest order tried
+
+    Returns
+    -------
+    innovation [unit of residual] and coefficients of the autoregression
 
     Raises
     ------

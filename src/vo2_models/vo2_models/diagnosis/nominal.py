@@ -61,7 +61,13 @@ THERMAL = {
 
 
 def judged(channel: str, values: Floats) -> Floats:
-    """Values in the unit in which they are compared; NaN for a resistance that is not positive."""
+    """Return values in the unit in which they are compared: log10 of a resistance in ohm, NaN where it is not positive.
+
+    Parameters
+    ----------
+    channel : as in a recording
+    values : (n,) in the channel's SI unit
+    """
     if channel != RESISTANCE:
         return np.asarray(values, dtype=np.float64)
     out = np.full(values.shape, np.nan)
@@ -76,6 +82,10 @@ def drive_of(recording: Recording) -> tuple[Floats, bool]:
     Driver effects act between the command and the current. Where the bag has commands these drive the
     simulation, and a logged current that differs from them is one more channel; a logged current that only
     repeats the command says nothing.
+
+    Parameters
+    ----------
+    recording : with `heater_current` [A] and, where the bag has commands, `commanded_current` [A], (n,) each
     """
     logged = recording[HEATER_CURRENT]
     if COMMANDED_CURRENT not in recording:
@@ -267,7 +277,7 @@ class Nominal:
 
 
 def rounded_with_noise(values: Floats, step: float, noise: Floats) -> Floats:
-    """Mean of step round((x + n) / step) over Gaussian noise n: what a coarse converter shows of x on average.
+    """Return the mean of step round((x + n) / step) over Gaussian noise n: what a coarse converter shows of x on average.
 
     x + step / pi sum_m (-1)^m / m exp(-2 (pi m s / step)^2) sin(2 pi m x / step), s the noise: the Fourier series of the
     staircase, damped as noise damps each tone. Without noise it is the staircase.
@@ -314,7 +324,12 @@ def _between_samples(chain: Simulation, dt: float) -> bool:
 
 
 def basis_of(device: str) -> EnrichmentBasis:
-    """Basis of the loop-shape correction of a device, placed where its preset's domains are."""
+    """Return the basis of the loop-shape correction of a device, placed where its preset's domains are.
+
+    Parameters
+    ----------
+    device : preset or path of a device file
+    """
     nominal = preset(device)
     heating, width = nominal.heating, nominal.width
     cold, hot = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
@@ -333,7 +348,12 @@ def loop_ends(device: str) -> tuple[float, float]:
 
 
 def span_of(device: str) -> dict[str, float]:
-    """Range of each channel of a device in judged units: what shares of range divide by."""
+    """Return the range of each channel of a device in judged units: what shares of range divide by.
+
+    Parameters
+    ----------
+    device : preset or path of a device file
+    """
     nominal = preset(device)
     low, high = nominal.resistance_range
     currents = nominal.operating_range

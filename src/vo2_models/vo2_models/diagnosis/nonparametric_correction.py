@@ -76,6 +76,10 @@ def fit_nonparametric_correction(
     residual : (N,) whitened, nuisance model taken out
     folds : held-out masks (N,), which partition the samples
     most : groups per channel
+
+    Returns
+    -------
+    the groups, most important first, and what they predict of the rest
     """
     shapes: list[Shape] = []
     prediction = np.zeros(residual.size)

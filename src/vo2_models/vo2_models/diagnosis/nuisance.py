@@ -86,10 +86,14 @@ class LoopShape:
 
 
 def loop_shapes(nominal: Nominal) -> dict[str, LoopShape]:
-    """Posterior of the loop shape of resistance and deflection, from the digest of the calibration.
+    """Return the posterior of the loop shape of resistance and deflection, from the digest of the calibration.
 
     The number of domains and the roughness are those of highest marginal likelihood. Without a digest the
     prior alone stands, which forgives ten per cent of the loop's shape.
+
+    Parameters
+    ----------
+    nominal : fitted simulation
     """
     laws = {RESISTANCE: nominal.model.resistance.present, TIP_DEFLECTION: nominal.model.deflection.present}
     present = [channel for channel, known in laws.items() if known]
@@ -171,11 +175,16 @@ class Coverage:
 
 
 def coverage(nominal: Nominal, *, samples: float = 8.0) -> Coverage:
-    """Kelvins in which the calibration has `samples` samples.
+    """Return the kelvins in which the calibration has `samples` samples.
 
     Elsewhere, on the way from a cold rest for instance, the fitted loops are a guess, and a recording that differs there
     says nothing about the device. The rest itself says much: no current, no heat. Everything is covered where the
     model file has no digest.
+
+    Parameters
+    ----------
+    nominal : fitted simulation with the digest of its calibration
+    samples : least number in a kelvin
     """
     digest = nominal.digest
     if digest is None:
@@ -191,7 +200,13 @@ def coverage(nominal: Nominal, *, samples: float = 8.0) -> Coverage:
 
 
 def coverage_of(paths: Sequence[Floats], *, samples: float = 8.0) -> Coverage:
-    """Kelvins in which recordings, with temperatures (n,) [degC] each, have `samples` samples on average."""
+    """Return the kelvins in which recordings have `samples` samples on average.
+
+    Parameters
+    ----------
+    paths : temperatures (n,) of each recording [degC]
+    samples : least number in a kelvin
+    """
     every = np.concatenate(paths)
     edges = np.arange(np.floor(every.min()), np.floor(every.max()) + 2.0)
     return Coverage(edges, np.histogram(every, edges)[0] >= samples * len(paths))
@@ -256,7 +271,12 @@ micrometre, a meter keeps its gain within a per cent. Assumed: no statistics ove
 
 
 def constants_of(nominal: Nominal) -> tuple[Constant, ...]:
-    """Constants that a refit may move: as uncertain as the calibration left them, and as they differ from day to day."""
+    """Return the constants that a refit may move: as uncertain as the calibration left them, and as they differ from day to day.
+
+    Parameters
+    ----------
+    nominal : fitted simulation
+    """
     return (*_calibrated(nominal.model), *_drifting(nominal))
 
 
@@ -277,6 +297,10 @@ def refitted_constants(nominal: Nominal) -> tuple[Constant, ...]:
 
     Where no temperature is measured, ambient and gain are the scale that temperature is expressed in: with the loops fitted
     anew as well they would only trade with them.
+
+    Parameters
+    ----------
+    nominal : fitted simulation
     """
     found = []
     scale = () if preset(nominal.device).measures_temperature else ("ambient", "linear_gain", "square_gain")
@@ -291,7 +315,12 @@ def refitted_constants(nominal: Nominal) -> tuple[Constant, ...]:
 
 
 def open_shapes(nominal: Nominal) -> dict[str, LoopShape]:
-    """Return loop shapes that nothing is known of but the prior: ten per cent of the model's, and the number of domains."""
+    """Return loop shapes that nothing is known of but the prior: ten per cent of the model's, and the number of domains.
+
+    Parameters
+    ----------
+    nominal : fitted simulation
+    """
     known = loop_shapes(nominal)
     return {
         channel: replace(shape, basis=known[channel].basis)
@@ -306,7 +335,7 @@ polynomial as a share of the range. A loop that took up a creep has plays of its
 
 
 def law_columns(nominal: Nominal, channel: str, path: Floats) -> Floats:
-    """Change (n, l) of a channel by each parameter of its fitted law, each scaled to a unit normal.
+    """Return the change (n, l) of a channel by each parameter of its fitted law, each scaled to a unit normal.
 
     None, l = 0, for a law that no fit wrote.
 

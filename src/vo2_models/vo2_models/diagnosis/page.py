@@ -27,7 +27,13 @@ BEFORE, AFTER, NOISE = "#D55E00", "#0072B2", "#999999"
 
 
 def report_page(study: Study, diagnosis: Diagnosis) -> str:
-    """Return the self-contained HTML page."""
+    """Return the self-contained HTML page.
+
+    Parameters
+    ----------
+    study : of the recordings
+    diagnosis : what `assemble_diagnosis` made of it
+    """
     parts = [_agreement(study)] if diagnosis.verdict == "agrees" else [_where(study, diagnosis)]
     if diagnosis.moved:
         parts.append(_moved(diagnosis))

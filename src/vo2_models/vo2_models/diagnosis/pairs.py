@@ -62,7 +62,12 @@ class Option:
 
 
 def trace(final: LinearisedProblem) -> Floats:
-    """What the effects that the problem is about change in the recording, (N,) whitened, without noise."""
+    """Return what the effects that the problem is about change in the recording, (N,) whitened, without noise.
+
+    Parameters
+    ----------
+    final : about the effects
+    """
     plain = replace(final, included={})
     bent = final.nuisance.of_courses(final.fit_nuisance(final.residual)) if final.courses else 0.0
     return bent - plain.stack(plain.responses({}), final.nominal_responses)
@@ -94,7 +99,15 @@ def option_of(
 def refit_about(
     nominal: Nominal, problem: LinearisedProblem, best: Explanation, *, tick: Tick = lambda: None
 ) -> tuple[LinearisedProblem, Explanation]:
-    """Build the problem about an explanation, with the same constants, and fit it once more there."""
+    """Build the problem about an explanation, with the same constants, and fit it once more there; return both.
+
+    Parameters
+    ----------
+    nominal : without corrections
+    problem : about the simulation without effects, which the gain is told against
+    best : the explanation
+    tick : called once per simulation
+    """
     final, again = problem, best
     for turn in range(1 + REFITS * problem.refits):
         rest = final.residual - again.deviation
@@ -141,6 +154,10 @@ def pair_of(
     candidates : all hypotheses
     limits : when a second effect counts
     tick : called once per simulation
+
+    Returns
+    -------
+    both effects with the problem about them, or None
     """
     about, first = alone.final, alone.chosen
     before = about.chi_square(about.residual - first.deviation)

@@ -26,7 +26,12 @@ def use_cores(count: int) -> None:
 
 
 def parallel_map(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Results of a function for several items, in the items' order; calls may be nested.
+    """Return the results of a function for several items, in the items' order; calls may be nested.
+
+    Parameters
+    ----------
+    function : called once per item, in a thread
+    items : any number
 
     Raises
     ------

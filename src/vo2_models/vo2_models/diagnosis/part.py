@@ -100,7 +100,13 @@ def _interpolated(recording: Recording, dt: float) -> Recording:
 
 
 def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") -> Part:
-    """Make a recording ready for comparison with the nominal simulation.
+    """Return a recording ready for comparison with the nominal simulation.
+
+    Parameters
+    ----------
+    recording : of the device
+    nominal : fitted simulation
+    name : of the recording, for messages
 
     Raises
     ------
@@ -167,9 +173,13 @@ def _wanders(logged: Floats, samples: int) -> bool:
 
 
 def value_step(values: Floats) -> float:
-    """Distance of neighbouring values if all lie on a comb, else 0.
+    """Return the distance of neighbouring values if all lie on a comb, else 0.
 
     A comb is told from chance by values that repeat and lie, all of them, at multiples of one distance.
+
+    Parameters
+    ----------
+    values : (n,) finite
     """
     distinct = np.unique(values)
     if distinct.size < 3 or distinct.size > 0.8 * values.size:

@@ -43,6 +43,10 @@ def diagnose(
         device and effect are then fitted together over all recordings. Without, an effect is a change since
     progress : called with the share done, 0 to 1, and what is being done
 
+    Returns
+    -------
+    verdict, effects with magnitudes and uncertainties, location, rivals and the next experiment
+
     Raises
     ------
     Unusable : (a ValueError) data or model with which nothing can be said; one line with the reason.
@@ -59,7 +63,22 @@ def study(
     progress: Progress = lambda share, text: None,
     names: Sequence[str] = (),
 ) -> Study:
-    """As `diagnose`, with the evidence kept; `names` are those of the calibration and the recordings, for messages."""
+    """As `diagnose`, with the evidence kept.
+
+    Parameters
+    ----------
+    recordings, model, calibration, progress : as `diagnose` takes them
+    limits : of every decision; those of `Limits` by default
+    names : of the calibration and the recordings, in that order, for messages; numbers by default
+
+    Returns
+    -------
+    what each of the five stages found
+
+    Raises
+    ------
+    Unusable : (a ValueError) data or model with which nothing can be said; one line with the reason.
+    """
     began = time.perf_counter()
     clock, limits = Clock(progress, 700), limits or Limits()
     nominal = model if isinstance(model, Nominal) else Nominal.from_parameters(model)

@@ -250,6 +250,10 @@ def linearise_problem(
     loop_origin : weights of these columns, by channel, to linearise about; the nuisance model pays for them as well
     refits : whether the nominal device is fitted anew
     say : called with what is being done
+
+    Returns
+    -------
+    the problem about the given effects and constants, its residual included
     """
     shapes = loop_shapes(nominal) if shapes is None else shapes
     constants = tuple(constants_of(nominal) if constants is None else constants)

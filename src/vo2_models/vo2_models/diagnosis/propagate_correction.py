@@ -59,7 +59,12 @@ class Film:
 
 
 def film_alone(coefficients: Floats) -> Floats:
-    """The coefficients that decide a `Film`: those of terminals, structure and the two film sensors are neutral."""
+    """Return the coefficients that decide a `Film`: those of terminals, structure and the two film sensors are neutral.
+
+    Parameters
+    ----------
+    coefficients : (n,) of a device, as `Coefficient` numbers them
+    """
     c = coefficients.copy()
     places, values = _behind_film()
     c[places] = values

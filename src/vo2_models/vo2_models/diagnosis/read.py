@@ -93,6 +93,10 @@ def read(
     calibrations : so many of the recordings, the first ones, are those that the model was fitted to: nominal device and
         effect are then fitted together
 
+    Returns
+    -------
+    what the next stages need of the recordings, and what was found on the way
+
     Raises
     ------
     Unusable : data with which nothing can be said; one line with the reason.

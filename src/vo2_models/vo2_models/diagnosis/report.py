@@ -481,7 +481,7 @@ def odds_of_rival(problem: LinearisedProblem, deviation: Floats, rival: Floats, 
 def probabilities(
     chi_squares: Sequence[float], parameters: Sequence[int], *, count: int, temper: float
 ) -> Floats:
-    """Posterior probabilities of rivals from chi-square and the number of parameters, tempered for what that does not know.
+    """Return posterior probabilities of rivals from chi-square and number of parameters, tempered for what these do not know.
 
     Parameters
     ----------

@@ -185,6 +185,10 @@ class Diagnosis:
 def validate(plain: Mapping[str, Any]) -> None:
     """Check a diagnosis read from JSON against the schema vo2-diagnosis/1.
 
+    Parameters
+    ----------
+    plain : the document, as `Diagnosis.to_dict` makes it
+
     Raises
     ------
     ValueError : naming the first key that is missing or out of range.

@@ -65,6 +65,10 @@ def search(
     clock : told what is being done
     one_loop : whether many effects look alike in these recordings, so that more of them are refitted
     first_use : whether the nominal device is refitted to all recordings; then the calibration fixes no constant
+
+    Returns
+    -------
+    hypotheses with their scores, refitted explanations, best first, and what was not excited
     """
     problem = located.problem
     if located.within_misfit(limits):
@@ -95,7 +99,13 @@ def search(
 
 
 def cost(explanation: Explanation, problem: LinearisedProblem) -> float:
-    """Chi-square, and for every parameter the logarithm of the number of samples; a course counts its splines."""
+    """Return chi-square, and for every parameter the logarithm of the number of samples; a course counts its splines.
+
+    Parameters
+    ----------
+    explanation : fitted
+    problem : it was fitted to
+    """
     splines = knots_of(problem) * len(problem.parts) * len(explanation.courses)
     return explanation.chi_square + (len(explanation.coordinates) + splines) * float(np.log(problem.count))
 
