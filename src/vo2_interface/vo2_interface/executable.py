@@ -17,12 +17,14 @@ from pathlib import Path
 from typing import Protocol
 
 import rclpy
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from vo2_interface.one_host import keeps_wall_time, missing_settings, reclaim_shared_memory
+from vo2_interface.timers import create_steady_timer
 from vo2_interface.usage import ARGUMENTS, usage
 
 __all__ = [
@@ -40,6 +42,8 @@ _SPIN_S = 0.05
 _ONE_END_S = 2.0
 _PATIENCE_S = 1.0
 _LEAVE_S = 6.0
+_STEP_LOOK_S = 0.02
+_LEAST_STEP_S = 0.005
 _BAD_FILE = re.compile(r"params file: '--params-file (.*?)'\. Error: (.*?)(?:, at /.*)?$")
 
 
@@ -242,6 +246,7 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
         # and stops the loop for a tenth of a second
         gc.collect()
         gc.freeze()
+        _outlive_steps_of_the_clock(executor, nodes[0])
         # told once, not asked after every sample
         rclpy.get_default_context().on_shutdown(stop.set)
         while not stop.is_set:
@@ -258,6 +263,30 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
         stop.obeyed()
         _close(nodes)
         leave_graph(executor, nodes)
+
+
+def _outlive_steps_of_the_clock(executor: Executor, node: Node) -> None:
+    """Wake the executor and its timers once the host's time of day was set back.
+
+    The wheels are built for C libraries that wait by the time of day alone, whatever clock is asked for: what waits
+    for a hundredth of a second as the clock is set back by an hour would wait for that hour, with the heater on.
+    """
+    timer = create_steady_timer(node, 3600.0, lambda: None)
+
+    def watch() -> None:
+        before = time.time() - time.monotonic()
+        while True:
+            time.sleep(_STEP_LOOK_S)
+            now = time.time() - time.monotonic()
+            if now < before - _LEAST_STEP_S:
+                try:
+                    timer.reset()  # the timers' thread looks anew at when the next is due
+                    executor.wake()
+                except InvalidHandle:
+                    return  # the node has left the graph
+            before = now
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def node_main(make_node: Callable[[], Node]) -> Callable[..., int]:

@@ -65,3 +65,44 @@ def test_what_nobody_saw_is_within_the_bound_until_the_loop_closes(seed, device,
         assert memory.known
     assert np.max(error[False]) > 1e-7 and not np.any(added[False]), "it matters, and nobody says so"
     assert np.all(error[True] <= added[True] + 1e-9)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_how_often_a_memory_is_known_again_without_the_ends_of_the_loop(share, device, schemes, capsys):
+    """40 gaps each; then work in a part of the range, as a loop that follows a reference does."""
+    gaps, levels, known, samples, widest = 40, 100, 0, [], 0.0
+    outside: dict[str, list[float]] = {"lost": [], "whole": []}
+    for seed in range(gaps):
+        rng = np.random.default_rng(seed)
+        low = rng.uniform(0.0, 1.0 - share)
+        worked = 3.68e-3 + 4.81e-3 * (low + share * rng.uniform(0.0, 1.0, levels))
+        before = [3.68e-3, 8.49e-3, 3.68e-3, *rng.uniform(3.68e-3, 8.49e-3, 3), worked[0]]
+        hidden = [*rng.uniform(3.68e-3, 8.49e-3, 3), worked[0]]
+        currents = np.repeat([*before, *hidden, *worked], 5)
+        resistance = np.asarray(device.simulate(currents, seed=3)["film_resistance"])
+        true = np.asarray(device.simulate(currents, noise=False)["tip_deflection"])
+        whole, _ = schemes["composite"].estimate(resistance)
+        deflection, bounds = np.asarray(whole.deflection), np.asarray(whole.bound)
+        memory = StreamingMemory(schemes["composite"], RANGE)
+        run(memory, resistance[: 5 * len(before)])
+        assert memory.known
+        memory.bridge()
+        start, again = 5 * (len(before) + len(hidden)), None
+        for k in range(start, currents.size):
+            found, _, bound = memory.step(float(resistance[k]))
+            outside["lost"].append(abs(found - true[k]) > bound)
+            outside["whole"].append(abs(deflection[k] - true[k]) > bounds[k])
+            widest = max(widest, bound - bounds[k])
+            if memory.known and again is None:
+                again = k - start
+        known += again is not None
+        samples += [] if again is None else [again]
+    typical = f", half of these within {np.median(samples):.0f} samples" if samples else ""
+    beyond = {name: float(np.mean(each)) for name, each in outside.items()}
+    with capsys.disabled():
+        print(
+            f"\nmemory after a gap, work in {share:.0%} of the range: known again in {known} of {gaps} within {5 * levels} "
+            f"samples{typical}; the bound grows by up to {1e6 * widest:.1f} um; outside of it {beyond['lost']:.2%} of the "
+            f"samples, without the gap {beyond['whole']:.2%}"
+        )
+    assert beyond["lost"] <= beyond["whole"] + 1e-3
