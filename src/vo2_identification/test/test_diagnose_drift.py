@@ -30,7 +30,7 @@ def _read(recording: Recording, **factors: tuple[float, float]) -> Recording:
     return Recording(recording.time_s, {**recording.channels, **changed}, recording.device)
 
 
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("sign", [-1.0, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_a_room_half_a_kelvin_off_is_a_drift_of_the_ambient(parameters, sign) -> None:
     answer = diagnose([concealed(moved=((Coefficient.AMBIENT, 1.0, 0.5 * sign),))], parameters)
     assert answer.verdict == "drifted" and answer.effects == []

@@ -42,7 +42,7 @@ def test_an_unchanged_device_agrees(parameters) -> None:
     validate(answer.to_dict())
 
 
-@pytest.mark.parametrize("device_seed", [9001, 9005])
+@pytest.mark.parametrize("device_seed", [9001, pytest.param(9005, marks=pytest.mark.slow)])
 def test_a_calibration_at_one_rate_raises_no_alarm_at_another(device_seed) -> None:
     found = calibrated(device_seed)
     seen = study([concealed(device_seed=device_seed)], found)
