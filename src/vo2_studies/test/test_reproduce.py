@@ -82,6 +82,26 @@ def test_page_escapes_and_says_what_is_not_met():
     )
 
 
+def test_page_links_its_sections_and_says_a_condition_once():
+    claims = tuple(
+        Claim(
+            f"8.{k}",
+            "8",
+            "x",
+            1.0,
+            3.0,
+            "1",
+            at_most(2.0),
+            "ten <devices>",
+            contradicted=k * "the table says 2",
+        )
+        for k in (0, 0, 1)
+    )
+    text = page([Section("8", "A title", claims)], command="x", seconds=1.0)
+    assert 'href="#8-A-title"' in text and 'id="8-A-title"' in text
+    assert text.count("ten &lt;devices&gt;") == 2 and "Note 2: the table says 2; ten" in text
+
+
 def test_what_the_text_contradicts_is_neither_met_nor_missed():
     claims = [
         Claim("a", "8", "x", 1.0, 1.0, "1", within(1.0, 0.1)),

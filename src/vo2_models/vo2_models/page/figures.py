@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 import io
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -14,7 +13,7 @@ from matplotlib.figure import Figure
 
 from vo2_models.page.page import figure as figure_part
 
-__all__ = ["COLOURS", "LINES", "figure_html", "new_figure"]
+__all__ = ["COLOURS", "LINES", "figure_html", "figure_svg", "new_figure"]
 
 COLOURS = {
     "true": "#000000",
@@ -58,13 +57,16 @@ def new_figure(width_in: float = 7.2, height_in: float = 3.0) -> Iterator[Figure
         yield Figure(figsize=(width_in, height_in), layout="constrained")
 
 
-def figure_html(figure: Figure, caption: str) -> str:
-    """Return the figure as inline SVG with a caption that also serves screen readers."""
+def figure_svg(figure: Figure, caption: str) -> str:
+    """Return the figure as an SVG element, labelled for screen readers by the caption."""
     stream = io.StringIO()
     with matplotlib.rc_context(_RC):
         figure.savefig(stream, format="svg", metadata={"Date": None})
     svg = stream.getvalue()
-    svg = svg[svg.index("<svg") :]
     label = html.escape(caption, quote=True)
-    svg = re.sub(r"^<svg ", f'<svg role="img" aria-label="{label}" ', svg, count=1)
-    return figure_part(svg, caption)
+    return svg[svg.index("<svg") :].replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
+
+
+def figure_html(figure: Figure, caption: str) -> str:
+    """Return the figure as inline SVG with a caption that also serves screen readers."""
+    return figure_part(figure_svg(figure, caption), caption)

@@ -11,7 +11,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-__all__ = ["figure", "formula", "page", "paragraph", "section", "subsection", "table"]
+__all__ = ["contents", "figure", "formula", "page", "paragraph", "section", "subsection", "table"]
 
 
 @cache
@@ -39,6 +39,16 @@ def page(title: str, lead: str, sections: Sequence[str]) -> str:
     sections : HTML
     """
     return _templates().get_template("page.html").render(title=title, lead=lead, sections=sections)
+
+
+def contents(entries: Sequence[tuple[str, str]]) -> str:
+    """Return a list of links to sections of the page.
+
+    Parameters
+    ----------
+    entries : title of a section, and what the link says
+    """
+    return _part("contents", entries)
 
 
 def section(title: str, *parts: str) -> str:

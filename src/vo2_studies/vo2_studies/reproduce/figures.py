@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 
 from vo2_studies.reproduce.claims import Figure
@@ -18,33 +17,17 @@ def draw(
     caption: str, plot: Callable[..., None], *, rows: int = 1, columns: int = 1, height: float = 3.0
 ) -> Figure:
     """Return the figure that `plot(*axes)` draws: `rows` panels above each other, `columns` side by side."""
-    import matplotlib
-    from cycler import cycler
+    # a second to load, which `reproduce --list` does not wait for
+    from vo2_models.page.figures import figure_svg, new_figure
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    with pyplot.rc_context(
-        {
-            "axes.prop_cycle": cycler(color=list(COLOURS)),
-            "axes.grid": True,
-            "grid.alpha": 0.3,
-            "svg.hashsalt": "vo2",
-            "svg.fonttype": "none",
-            "font.size": 9,
-        }
-    ):
-        figure, axes = pyplot.subplots(
-            rows, columns, figsize=(7.5, height * rows), squeeze=False, layout="constrained"
-        )
+    with new_figure(7.5, height * rows) as figure:
+        axes = figure.subplots(rows, columns, squeeze=False)
+        for axis in axes.flat:
+            axis.set_prop_cycle(color=COLOURS)
         plot(*axes.flat)
         for axis in axes.flat:
             if axis.get_legend_handles_labels()[1]:
-                axis.legend(loc="best", fontsize=8)
+                axis.legend(loc="best")
             for line in axis.get_lines():
                 line.set_rasterized(len(line.get_xdata()) > 4000)
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None})
-        pyplot.close(figure)
-    svg = text.getvalue()
-    return Figure(caption, svg[svg.index("<svg") :])
+        return Figure(caption, figure_svg(figure, caption))

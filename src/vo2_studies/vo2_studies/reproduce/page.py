@@ -1,23 +1,25 @@
-"""One self-contained HTML page: published, ours, conditions, met or not, and the figures."""
+"""One self-contained HTML page: published, ours, when a claim is met, and the figures."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from html import escape
+
+from vo2_models.page.page import contents, figure, paragraph, table
+from vo2_models.page.page import page as document
+from vo2_models.page.page import section as page_section
 
 from vo2_studies.reproduce.claims import Claim, Figure, Section, Table, tally
 
 __all__ = ["page"]
 
-_STYLE = """
-body{font:15px/1.5 system-ui,sans-serif;max-width:62rem;margin:2rem auto;padding:0 1rem;color:#222}
-table{border-collapse:collapse;width:100%;margin:.6rem 0 1.2rem}
-th,td{border-bottom:1px solid #ddd;padding:.3rem .5rem;text-align:left;vertical-align:top}
-td.n{text-align:right;white-space:nowrap;font-variant-numeric:tabular-nums}
-.met{color:#00614a;font-weight:600}.not{color:#a33c00;font-weight:600}
-small{color:#555}figure{margin:1rem 0}figcaption{color:#444;font-size:.9rem}svg{max-width:100%;height:auto}
-"""
+_RULES = (
+    "Published values are those of the dissertation, measured on its devices; ours come from simulated devices that share no "
+    "model with the estimators and controllers. A dash marks a claim of our own. A claim is met within the stated distance "
+    "of the published value, on both sides unless better lies on one; a ratio is compared with the published ratio. What the "
+    "text itself contradicts counts as neither. Missed is left standing."
+)
+_HEAD = ("claim", "published", "ours", "unit", "state", "met if", "note")
 
 
 def page(sections: Sequence[Section], *, command: str, seconds: float) -> str:
@@ -28,56 +30,40 @@ def page(sections: Sequence[Section], *, command: str, seconds: float) -> str:
     command : what the reader types to get it
     seconds : how long it took
     """
-    claims = [claim for section in sections for claim in section.claims]
-    body = "".join(_section(section) for section in sections)
-    contents = "".join(
-        f'<li><a href="#s{escape(s.number)}">{escape(s.number)} {escape(s.title)}</a>: '
-        f"{escape(str(tally(s.claims)))}</li>"
-        for s in sections
-    )
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Reproduction</title>'
-        f"<style>{_STYLE}</style></head><body><h1>Published figures and ours</h1>"
-        f"<p><b>{escape(str(tally(claims)))}.</b> Computed in {seconds:.0f} s by <code>{escape(command)}</code>. "
-        "Published values are those of the dissertation, measured on its devices; ours come from simulated devices that "
-        "share no model with the estimators and controllers. A dash marks a claim of our own. A claim is met "
-        "within the stated distance of the published value, on both sides unless better lies on one; a ratio is compared "
-        "with the published ratio. What the text itself contradicts counts as neither. "
-        f"Missed is left standing.</p><ul>{contents}</ul>{body}</body></html>"
+    total = tally(claim for section in sections for claim in section.claims)
+    names = [f"{section.number} {section.title}" for section in sections]
+    told = [(name, f"{name}: {tally(section.claims)}") for name, section in zip(names, sections, strict=True)]
+    parts = [paragraph(_RULES), contents(told)]
+    parts += [page_section(name, *_parts(section)) for name, section in zip(names, sections, strict=True)]
+    return document(
+        "Published figures and ours", f"{total}. Computed in {seconds:.0f} s by {command}.", parts
     )
 
 
-def _section(section: Section) -> str:
-    remarks = "".join(f"<p>{escape(text)}</p>" for text in section.remarks)
-    rows = "".join(_row(claim) for claim in section.claims)
-    figures = "".join(_part(figure) for figure in section.figures)
-    story = "".join(_part(part) for part in section.story)
-    return (
-        f'<h2 id="s{escape(section.number)}">{escape(section.number)} {escape(section.title)}</h2>{story}{remarks}'
-        "<table><thead><tr><th>claim</th><th>published</th><th>ours</th><th>unit</th><th>met</th></tr></thead>"
-        f"<tbody>{rows}</tbody></table>{figures}"
-    )
+def _parts(section: Section) -> list[str]:
+    """The story, the remarks, the claims, their notes and the figures of one section."""
+    notes = list(dict.fromkeys(note for claim in section.claims if (note := _note(claim))))
+    rows = [_row(claim, notes) for claim in section.claims]
+    return [
+        *(_part(part) for part in (*section.story, *section.remarks)),
+        table("Claims", _HEAD, rows),
+        *(paragraph(f"Note {k}: {note}") for k, note in enumerate(notes, 1)),
+        *(_part(one) for one in section.figures),
+    ]
 
 
 def _part(part: str | Table | Figure) -> str:
-    if isinstance(part, str):
-        return f"<p>{escape(part)}</p>"
-    if isinstance(part, Figure):
-        return f"<figure>{part.svg}<figcaption>{escape(part.caption)}</figcaption></figure>"
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in part.head)
-    rows = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in part.rows
-    )
-    return f"<p><b>{escape(part.caption)}</b></p><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+    if isinstance(part, Table):
+        return table(part.caption, part.head, part.rows)
+    return paragraph(part) if isinstance(part, str) else figure(part.svg, part.caption)
 
 
-def _row(claim: Claim) -> str:
+def _note(claim: Claim) -> str:
+    return "; ".join(part for part in (claim.contradicted, claim.conditions) if part)
+
+
+def _row(claim: Claim, notes: Sequence[str]) -> tuple[str, ...]:
     published = "–" if claim.published is None else f"{claim.published:.4g}"
     ours = f"{claim.ours:.4g}" if math.isfinite(claim.ours) else "not found"
-    state = f'<span class="{"met" if claim.met else "not"}">{claim.state}</span>'
-    parts = (claim.rule.text, claim.conditions, claim.contradicted)
-    detail = escape("; ".join(part for part in parts if part))
-    return (
-        f'<tr><td>{escape(claim.claim)}<br><small>{detail}</small></td><td class="n">{published}</td>'
-        f'<td class="n">{ours}</td><td>{escape(claim.unit)}</td><td>{state}</td></tr>'
-    )
+    note = str(notes.index(_note(claim)) + 1) if _note(claim) else ""
+    return claim.claim, published, ours, claim.unit, claim.state, claim.rule.text, note
