@@ -192,9 +192,9 @@ def _parser() -> argparse.ArgumentParser:
         "--law",
         default="",
         metavar="LAW",
-        help="hysteresis law of the simulation: plays, preisach, gpi, egpi, bouc_wen, limiting_loop, domains, or auto for "
-        "the one that predicts held-out parts best (default: plays; without a heated body plays or preisach, by held-out "
-        "error)",
+        help="hysteresis law of the simulation: plays, preisach, cs (a sparse Preisach density, compressive sensing), gpi, "
+        "egpi, bouc_wen, limiting_loop, domains, or auto for the one that predicts held-out parts best (default: plays; "
+        "without a heated body plays or preisach, by held-out error)",
     )
     parser.add_argument(
         "--simulation-only",

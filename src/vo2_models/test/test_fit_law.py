@@ -23,6 +23,7 @@ def _truths():
     middle, half = 60.0 + 6.0 * rng.normal(size=300), 4.0 * np.exp(0.2 * rng.normal(size=300))
     return {
         "preisach": PreisachOperator(edges, 0.01 * density, 1.0),
+        "cs": PreisachOperator(edges, np.tril(0.01 * (density > 0.5)), 1.0),
         "gpi": GPI([0.0, 0.3, 0.6], [1.0, 0.8, 0.5], TanhEnvelopes(0.08, -5.4, 0.08, -4.6), 1.0),
         "bouc_wen": BoucWen(0.08, 0.8, 1.5, 2.0, [1.0, 0.02]),
         "limiting_loop": LimitingLoop(0.14, 68.0, 0.18, 54.0, 0.9, 0.0, 3.0, [0.0, 0.01]),
@@ -103,7 +104,10 @@ def test_few_samples_on_a_fine_grid_never_fail(level, noise):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: fit_law("magic", [0, 1, 0], [0, 1, 0]), r"law: found 'magic', need one of preisach, gpi"),
+        (
+            lambda: fit_law("magic", [0, 1, 0], [0, 1, 0]),
+            r"law: found 'magic', need one of preisach, cs, gpi",
+        ),
         (lambda: fit_law("gpi", [0, np.nan, 0], [0, 1, 0]), r"u: found nan at index \(1,\)"),
         (lambda: fit_law("gpi", [0, 1, 0], [1, 1, 1]), r"y: found 3 samples that do not vary"),
         (lambda: fit_law("gpi", [0, 1, 0], [0, 1]), r"y: found 2 value\(s\), need 3"),

@@ -47,7 +47,7 @@ def test_a_law_that_does_not_exist_is_told():
         fit_loop_law("magic", np.arange(9.0), np.arange(9.0), np.zeros(9, dtype=np.int64))
 
 
-@pytest.mark.parametrize("law", ["preisach", "limiting_loop"])
+@pytest.mark.parametrize("law", ["preisach", "cs", "limiting_loop"])
 def test_a_device_is_fitted_with_another_law(law, tmp_path):
     steps = 40
     k = np.arange(steps)
@@ -56,7 +56,8 @@ def test_a_device_is_fitted_with_another_law(law, tmp_path):
     result, parameters = fit_model(
         [device.simulate(current, seed=1)], "integrated", law=law, self_sensing=False
     )
-    assert (parameters["model.resistance.law"], parameters["model.deflection.law"]) == (law, law)
+    stored = "preisach" if law == "cs" else law
+    assert (parameters["model.resistance.law"], parameters["model.deflection.law"]) == (stored, stored)
     result.model.save(tmp_path / "model.yaml")
     levels = np.repeat(np.random.default_rng(1).uniform(4e-3, 8e-3, 40), 10)
     ours = DeviceModel.load(tmp_path / "model.yaml").simulate(levels, noise=False)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vo2_models.hysteresis.law import Law
 from vo2_models.hysteresis.law_fit import FITTED
 from vo2_models.hysteresis.play_bank import PlayBank
+from vo2_models.hysteresis.preisach.sparse_fit import choose_sparse
 from vo2_models.identification.bank_fit import BankShape, fit_bank
 from vo2_models.identification.device_fit import FitResult
 from vo2_models.identification.loops_fit import SECTIONS
@@ -114,6 +115,12 @@ def fit_loop_law(name: str, path: Floats, values: Floats, fold: NDArray[np.int64
         return LoopLaw(found.law, found.misfit, found.residual, found.words)
     inside = np.maximum(path, path[good].min())  # what comes before a recording lies far below
     filled = np.where(good, values, 0.0)
+    if name == "cs":
+        sparse = choose_sparse(inside, filled, fold, good)
+        told = ", ".join(f"{basis} {error:.3g}" for basis, error in sparse.held_out_rmse.items())
+        words = f"Preisach law of {sparse.operator.level} levels, sparse in basis {sparse.basis} (held out: {told})"
+        left = np.where(good, values - sparse.operator.run(inside), np.nan)
+        return LoopLaw(sparse.operator, sparse.error, left, words)
 
     def residual(measured: NDArray[np.bool_]) -> tuple[Law, Floats]:
         law, _ = FITTED[name](inside, filled, fold, measured)

@@ -6,7 +6,8 @@
 - `nonmonotonic`, `nonmonotonic_inverse`: chapter 5
 - `signed_area`, `damped`, `everett_rows`, `least_squares`, `nnls`, `interior_point`, `smooth_fit`: identification, at any
   level, of densities that are not negative or of either sign
-- `compressive_sensing`, `basis_pursuit`: identification from few measurements, chapter 4
+- `compressive_sensing`, `basis_pursuit`: identification from few measurements, chapter 4; `sparse_fit`: densities sparse
+  under cosines, wavelets or differences, from any input
 - `compression`: coarser grids with least loss of information, chapter 2
 
 The comparisons of chapters 2, 4 and 5 and with measured recordings are in `vo2_studies.preisach`.
@@ -41,6 +42,7 @@ _HOME = {
     "fit_nonmonotonic": "nonmonotonic",
     "fit_preisach": "least_squares",
     "fit_smooth": "smooth_fit",
+    "fit_sparse": "sparse_fit",
     "identify_compressed": "compressive_sensing",
     "identify_preisach_compressed": "compressive_sensing",
     "signed_area_matrix": "signed_area",
