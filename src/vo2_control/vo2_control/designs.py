@@ -80,8 +80,8 @@ def design_controller(
     kind : one of `CONTROLLER_KINDS`
     preset : device preset; gives gains and limits that `values` does not
     sample_period_s : [s]
-    values : what was set of `CONTROLLER_PARAMETERS` and `model.*`; gains in it are used, else a model is tuned for;
-        kind `hinf` is designed from `hinf.*` alone
+    values : what was set of `CONTROLLER_PARAMETERS` and `model.*`; gains (`pid.*`, `hinf.*`) in it are used, else a model is
+        designed for; without both the published ones
 
     Raises
     ------
@@ -94,10 +94,15 @@ def design_controller(
     limits = current_limits(preset, values)
     if kind == "hinf":
         # the synthesis libraries take a second to load: only for who designs with them
-        from vo2_control.discretise import robust_law
+        if values.get("model.device") and not any(name.startswith("hinf.") for name in values):
+            from vo2_control.model_hinf import robust_from_model
 
-        design = design_from_parameters(values)
-        controller = robust_law(design, sample_period_s, expected_sign=_sign(preset)).controller(limits)
+            controller = robust_from_model(values, sample_period_s).controller(limits)
+        else:
+            from vo2_control.discretise import robust_law
+
+            design = design_from_parameters(values)
+            controller = robust_law(design, sample_period_s, expected_sign=_sign(preset)).controller(limits)
     else:
         gains = _gains(kind, preset, sample_period_s, limits, values)
         controller = pid_controller(gains, limits, sample_period_s)
