@@ -139,7 +139,7 @@ def redesigner(rig):
 
     def redesign():
         future = client.call_async(Trigger.Request())
-        rig.until(future.done)
+        rig.until(future.done, timeout_s=90.0)  # a synthesis takes seconds of a processor
         return future.result()
 
     return redesign
@@ -176,6 +176,27 @@ def test_robust_design_commands_and_a_refused_one_leaves_the_former_at_work():
 def test_robust_design_for_the_wrong_device_is_refused_at_the_start():
     with controller("kind:=hinf") as rig, pytest.raises(ValueError, match=r"need the sign \+ of this device"):
         rig.add(ControllerNode)
+
+
+def test_robust_design_from_the_model_and_a_model_without_dynamics_leaves_it_at_work(fitted_model):
+    """What is asked over the service: a law for this model; for a model without dynamics one line, and the former law stays."""
+    with controller("kind:=pi") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        node = rig.add(ControllerNode)
+        redesign = redesigner(rig)
+        node._table.set({**fitted_model, "kind": "hinf"})
+        assert redesign().success
+        first = command_of(rig, 1, 29 * UM, 30 * UM)
+        assert command_of(rig, 2, 29 * UM, 30 * UM) > first  # an integrator asks for more
+        running = node._law
+        assert running.law.coordinate == "heating_power" and running.law.order >= 1
+        node._table.set({"model.thermal.time_constant": 1e-6, "model.driver.dead_time": 0.0})
+        answer = redesign()
+        assert not answer.success and answer.message.count("\n") == 0
+        assert "model.thermal.time_constant: found 1e-06 s" in answer.message
+        assert "without dynamics" in answer.message and "the former law stays" in answer.message
+        command_of(rig, 3, 29 * UM, 30 * UM)
+        assert node._law is running
 
 
 def test_feedforward_is_added_and_changes_with_the_reference(fitted_model):

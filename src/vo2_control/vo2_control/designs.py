@@ -97,7 +97,7 @@ def design_controller(
         if values.get("model.device") and not any(name.startswith("hinf.") for name in values):
             from vo2_control.model_hinf import robust_from_model
 
-            controller = robust_from_model(values, sample_period_s).controller(limits)
+            controller = robust_from_model(values, sample_period_s, limits=limits).controller(limits)
         else:
             from vo2_control.discretise import robust_law
 

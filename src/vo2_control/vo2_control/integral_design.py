@@ -115,13 +115,7 @@ def covering_weight(nominal: ThermalLag, plants: Sequence[ThermalLag]) -> LeadLa
 
 
 def integral_design(
-    nominal: ThermalLag,
-    uncertainty: LeadLag,
-    *,
-    bandwidth_rad_s: float,
-    effort: float,
-    noise: float = 0.005,
-    corner_rad_s: float = 1.0,
+    nominal: ThermalLag, uncertainty: LeadLag, *, bandwidth_rad_s: float, effort: float, noise: float = 0.005
 ) -> RobustDesign:
     """Return the design: integral performance weight of the given bandwidth [rad/s], effort weight [um/A].
 
@@ -131,22 +125,20 @@ def integral_design(
     uncertainty : weight W_m
     bandwidth_rad_s : [rad/s]
     noise : weight of the measurement noise
-    corner_rad_s : above which effort and noise weigh more; below the Nyquist frequency of the sampled loop [rad/s]
     """
-    corner = corner_rad_s
     return RobustDesign(
         current_gain_k_per_a=math.copysign(50.0, nominal.gain),
         time_constant_s=nominal.time_constant_s,
         dead_time_s=nominal.dead_time_s,
         slope_m_per_k=abs(nominal.gain) / 50.0,
         uncertainty="multiplicative",
-        effort=LeadLag(effort, corner, 30 * corner),
-        disturbance=LeadLag(0.02, 2 * corner, corner),
+        effort=LeadLag(effort, 1.0, 30.0),
+        disturbance=LeadLag(0.02, 2.0, 1.0),
         performance=LeadLag(
             0.5 * bandwidth_rad_s / _INTEGRATOR_RAD_S, 2 * bandwidth_rad_s, _INTEGRATOR_RAD_S
         ),
-        plant_noise=LeadLag(noise, corner, 100 * corner),
-        sensing_noise=LeadLag(noise, corner, 100 * corner),
+        plant_noise=LeadLag(noise, 1.0, 100.0),
+        sensing_noise=LeadLag(noise, 1.0, 100.0),
         multiplicative=uncertainty,
     )
 

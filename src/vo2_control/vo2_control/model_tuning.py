@@ -12,8 +12,8 @@ from vo2_models.device.simulation import TRUE_DEFLECTION, Simulation
 from vo2_models.parameters import Value
 
 from vo2_control.closed_loop import run_loop
-from vo2_control.controller import Coordinate, CurrentLimits
-from vo2_control.pid import PidGains, pid_controller
+from vo2_control.controller import Coordinate, CurrentLimits, LinearController
+from vo2_control.pid import pid_controller
 from vo2_control.sampled_loop import ThermalLag
 from vo2_control.tuning import LocalSlopes, TunedPid, local_slopes, tune_pid
 
@@ -56,10 +56,8 @@ def loop_slopes(simulation: Simulation) -> LocalSlopes:
     return local_slopes(current, sweep[TRUE_DEFLECTION], coordinate=coordinate)
 
 
-def tracking_cost(
-    simulation: Simulation, limits: CurrentLimits, sample_period_s: float
-) -> Callable[[PidGains], float]:
-    """Return the cost of gains: root mean square tracking error [m] of the true deflection on the model, without noise.
+def tracking_cost(simulation: Simulation, sample_period_s: float) -> Callable[[LinearController], float]:
+    """Return the cost of a controller: root mean square tracking error [m] of the true deflection on the model, without noise.
 
     The reference crosses the loop in both directions, as the experiments do: two unequal sinusoids around half the
     deflection range, one ten times as fast as the other, and three steps. The fast period is 4 time constants where
@@ -68,7 +66,6 @@ def tracking_cost(
     Parameters
     ----------
     simulation : of the fitted model
-    limits : of the current [A]
     sample_period_s : [s]
     """
     nominal = preset(simulation.device)
@@ -81,8 +78,7 @@ def tracking_cost(
     reference = nominal.deflection_extent[0] + span * np.concatenate([waves, steps])
     start = count // 10
 
-    def cost(gains: PidGains) -> float:
-        controller = pid_controller(gains, limits, sample_period_s)
+    def cost(controller: LinearController) -> float:
         error = run_loop(simulation, None, controller, reference, dt=sample_period_s, noise=False).error_m[
             start:
         ]
@@ -135,12 +131,13 @@ def tuned_from_model(
     """
     model = DeviceModel.from_parameters(parameters)
     lag = thermal_lag(model)
-    low, high = preset(model.device).current_range
+    bounds = limits or CurrentLimits(*preset(model.device).current_range)
+    cost = tracking_cost(model.simulation, sample_period_s)
     return tune_pid(
         lag,
         sample_period_s,
         derivative=derivative,
         max_sensitivity=max_sensitivity,
-        cost=tracking_cost(model.simulation, limits or CurrentLimits(low, high), sample_period_s),
+        cost=lambda gains: cost(pid_controller(gains, bounds, sample_period_s)),
         coordinate=law_coordinate(model.device),
     )

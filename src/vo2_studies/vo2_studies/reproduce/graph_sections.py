@@ -20,7 +20,7 @@ from vo2_studies.reproduce.identified import identify
 from vo2_studies.reproduce.peltier import LIMITS, Merit, calibrate, merit, reference
 from vo2_studies.reproduce.scenarios import GraphLoop, run_loops
 
-__all__ = ["integrated_section", "peltier_section"]
+__all__ = ["integrated_section", "peltier_section", "tracks", "tried"]
 
 Floats = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def integrated_section(
         f"from the bag scenarios/{number}/bag"
     )
     claims = []
-    found, failure = _tried(run)
+    found, failure = tried(run)
     errors = {scheme: 1e6 * tracking_error(found[scheme]) if found else np.nan for scheme in loops}
     for scheme, error in errors.items():
         published = published_um[scheme]
@@ -81,7 +81,7 @@ def integrated_section(
               within_or_below(published_um["composite"] / published_um["polynomial"], 0.1), conditions)
     )  # fmt: skip
     figures = (
-        (draw(f"{title}: device of seed {context.seed}.", _tracks(found), rows=2, height=2.4),)
+        (draw(f"{title}: device of seed {context.seed}.", tracks(found), rows=2, height=2.4),)
         if found
         else ()
     )
@@ -141,7 +141,7 @@ def peltier_section(
         f"one device of chapter 8 (seed {seed}) on the ROS graph in lockstep, polynomial self-sensing, operating "
         f"current added to both laws; current as measured; from the bag scenarios/{number}/bag"
     )
-    found, failure = _tried(run)
+    found, failure = tried(run)
     merits = {name: merit(kind, _result(found[name], wanted)) if found else None for name in laws}
     claims = []
     for name, figures_of_merit in published.items():
@@ -162,13 +162,13 @@ def peltier_section(
     )  # fmt: skip
     drawn: list[Figure] = []
     if found:
-        drawn.append(draw(f"{title}: device of seed {seed}.", _tracks(found), rows=2, height=2.4))
+        drawn.append(draw(f"{title}: device of seed {seed}.", tracks(found), rows=2, height=2.4))
         if kind != "steps":
             drawn.append(draw("Spectrum of the tracking errors.", _spectra(found)))
     return Section(number, title, tuple(claims), tuple(drawn), (failure,) if failure else ())
 
 
-def _tried(run: Callable[[], dict[str, PhaseData]]) -> tuple[dict[str, PhaseData], str]:
+def tried(run: Callable[[], dict[str, PhaseData]]) -> tuple[dict[str, PhaseData], str]:
     """What the scenario found, or nothing and the reason: one scenario that fails does not end the others."""
     try:
         from vo2_studies.demo.graph import GraphError
@@ -198,7 +198,9 @@ def _value(found: Merit | None, field: str) -> float:
     return float(getattr(found, field)) if found is not None else float("nan")
 
 
-def _tracks(found: dict[str, PhaseData]) -> Callable[..., None]:
+def tracks(found: dict[str, PhaseData]) -> Callable[..., None]:
+    """Return a plot of true deflections and errors (two axes) of the laws in `found`."""
+
     def plot(top, bottom):
         for (name, data), style in zip(found.items(), STYLES, strict=False):
             k = slice(0, None, max(1, data.time_s.size // 3000))
