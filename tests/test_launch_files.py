@@ -48,7 +48,7 @@ def executables(package):
     """Names that a package installs as executables."""
     if package in FOREIGN:
         return FOREIGN[package]
-    return set(re.findall(r'"(\w+) = [\w.]+:main"', (SOURCES / package / "setup.py").read_text()))
+    return set(re.findall(r'"(\w+) = [\w.]+:\w+"', (SOURCES / package / "setup.py").read_text()))
 
 
 def started(path):

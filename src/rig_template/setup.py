@@ -25,7 +25,7 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "rig = rig_template.rig_node:main",
+            "rig = rig_template.executables:rig",
             "instrument = rig_template.instrument:main",
         ],
     },

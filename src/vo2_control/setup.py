@@ -28,10 +28,10 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "reference = vo2_control.reference_node:main",
-            "controller = vo2_control.controller_node:main",
-            "feedforward = vo2_control.feedforward_node:main",
-            "loop = vo2_control.loop_node:main",
+            "reference = vo2_control.executables:reference",
+            "controller = vo2_control.executables:controller",
+            "feedforward = vo2_control.executables:feedforward",
+            "loop = vo2_control.executables:loop",
         ],
     },
 )

@@ -28,7 +28,7 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "estimator = vo2_estimation.estimator_node:main",
+            "estimator = vo2_estimation.executables:estimator",
         ],
     },
 )

@@ -28,7 +28,7 @@ setup(
     extras_require={"test": ["pytest"], "dask": ["distributed==2026.8.0"]},
     entry_points={
         "console_scripts": [
-            "identifier = vo2_identification.identifier_node:main",
+            "identifier = vo2_identification.executables:identifier",
             "record = vo2_identification.record:main",
             "replay = vo2_identification.replay:main",
             "compress = vo2_identification.compress:main",

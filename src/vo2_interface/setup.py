@@ -30,9 +30,9 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "live = vo2_interface.live.node:main",
-            "beam = vo2_interface.beam:main",
-            "supervise = vo2_interface.supervise:main",
+            "live = vo2_interface.executables:live",
+            "beam = vo2_interface.executables:beam",
+            "supervise = vo2_interface.executables:supervise",
         ]
     },
 )

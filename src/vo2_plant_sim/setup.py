@@ -28,7 +28,7 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "plant = vo2_plant_sim.plant:main",
+            "plant = vo2_plant_sim.executables:plant",
         ],
     },
 )
