@@ -123,6 +123,8 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
         adequacy = adequacy_of(option, problem, limits)
         shown = max(shown, adequacy.share, judged.share)
         admissible = _is_admissible(option, judged, adequacy, limits)
+        if located.own_misfit:
+            admissible = admissible and _alone(option, found.singles, limits)
         rivals, remaining = option.rivals, option.remaining
         hidden = admissible and found.hidden
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
@@ -259,6 +261,14 @@ def _stands_for_constants(option: Option, singles: Sequence[Explanation], limits
     own = chosen.hypotheses[0].record.id
     others = [e.gain for e in singles if e.hypotheses[0].record.id != own]
     return len(chosen.keys) == 1 and chosen.gain - max(others, default=0.0) > limits.apart
+
+
+def _alone(option: Option, singles: Sequence[Explanation], limits: Limits) -> bool:
+    """Whether an option is one effect, and no other comes near its gain: beside a device's own misfit a little is no evidence."""
+    chosen = option.chosen
+    own = {hypothesis.record.id for hypothesis in chosen.hypotheses}
+    others = [e.gain for e in singles if e.hypotheses[0].record.id not in own]
+    return len(chosen.keys) == 1 and max(others, default=0.0) < limits.rival_of_misfit * chosen.gain
 
 
 def _significant(explanation: Explanation, limits: Limits) -> bool:

@@ -70,6 +70,11 @@ class Limits:
         "on a device without body, what is left over the fit's error on held-out parts of its calibration, below which a "
         "recording agrees: 1.7 was the largest of six unchanged recordings of two seals, reruns and a remount",
     )
+    rival_of_misfit: float = _limit(
+        0.9,
+        "on a device without body, share of a name's gain from which another effect is a rival, so that neither is named: on "
+        "a seal whose force was averaged six effects gained 95 % of the best one, which was none of them",
+    )
     law_misfit: float = _limit(
         0.05,
         "largest error of a channel, as a share of its range, that fitted loops make of a recording unlike the calibration: "

@@ -35,8 +35,8 @@ class Located:
     excess : channel -> excess power over noise power, nuisance parameters refitted
     total_excess : the same of all channels
     breakdown : where the excess is
-    own_misfit : channel -> r.m.s. of what is left over the error that the fit made on parts of its calibration that it was
-        not given; empty where that is not known
+    own_misfit : channel -> r.m.s. distance from the model over the error that the fit made on parts of its calibration
+        that it was not given; empty where that is not known
     """
 
     nominal: Nominal
@@ -82,12 +82,12 @@ def locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
         excess,
         total,
         tuple(breakdown(problem, remaining)),
-        _over_misfit(problem, remaining),
+        _over_misfit(problem),
     )
 
 
-def _over_misfit(problem: LinearisedProblem, remaining: Floats) -> dict[str, float]:
-    """What is left of each channel, r.m.s., over its error on held-out parts of the calibration; of devices without body."""
+def _over_misfit(problem: LinearisedProblem) -> dict[str, float]:
+    """Distance of each channel of a device without body from the model, r.m.s., over that of held-out calibration."""
     model = problem.nominal.model
     if model.description.has_body:
         return {}
@@ -99,7 +99,7 @@ def _over_misfit(problem: LinearisedProblem, remaining: Floats) -> dict[str, flo
         noise, squares, count = problem.nominal.noise[channel], 0.0, 0
         for row in (row for row in problem.rows if row.channel == channel):
             counts = problem.weight[row.where] > 0
-            squares += float(np.sum(noise.color(remaining[row.where])[counts] ** 2))
+            squares += float(np.sum(noise.color(problem.residual[row.where])[counts] ** 2))
             count += int(np.count_nonzero(counts))
         found[channel] = float(np.sqrt(squares / max(count, 1))) / sensor.misfit
     return found

@@ -34,6 +34,8 @@ __all__ = [
 Floats = NDArray[np.float64]
 DOMAINS = (1e3, 4e3, 1.6e4, 1e6)
 """Numbers of domains whose scatter is tried; the calibration chooses."""
+FORGIVEN = 0.1
+"""Share of a channel's range by which the prior lets the loop's shape be off where no calibration says more."""
 ROUGHNESS = (0.0, 1.0, 3.0)
 """Misfit of a block beyond what the basis resolves, in units of the noise; the calibration chooses."""
 
@@ -89,7 +91,7 @@ def loop_shapes(nominal: Nominal) -> dict[str, LoopShape]:
     """Return the posterior of the loop shape of resistance and deflection, from the digest of the calibration.
 
     The number of domains and the roughness are those of highest marginal likelihood. Without a digest the
-    prior alone stands, which forgives ten per cent of the loop's shape.
+    prior alone stands, which forgives ten per cent of the loop's shape, or what the fit of a device without body missed.
 
     Parameters
     ----------
@@ -107,7 +109,8 @@ def _loop_shape(nominal: Nominal, channel: str) -> LoopShape:
     basis, span = basis_of(nominal.device), nominal.span[channel]
     digest = nominal.digest
     if digest is None:
-        return LoopShape(basis, span, np.zeros(basis.columns), np.eye(basis.columns), 0.0)
+        tight = max(FORGIVEN * span / _own_misfit(nominal, channel, span), 1.0)
+        return LoopShape(basis, span, np.zeros(basis.columns), tight * np.eye(basis.columns), 0.0)
     noise = nominal.noise[channel]
     target = digest.log_resistance if channel == RESISTANCE else digest.deflection
     features = digest.features(basis, span=span)
@@ -147,6 +150,13 @@ def _loop_shape(nominal: Nominal, channel: str) -> LoopShape:
     if best is None:
         raise ValueError("loop shapes: found no candidate of ROUGHNESS and DOMAINS, need at least one")
     return best[1]
+
+
+def _own_misfit(nominal: Nominal, channel: str, span: float) -> float:
+    """What the fit of a device without body missed of held-out parts of its calibration; all that is forgiven where unknown."""
+    sensor = nominal.model.sensors.get(channel)
+    known = sensor is not None and sensor.misfit > 0.0 and not preset(nominal.device).has_body
+    return sensor.misfit if sensor is not None and known else FORGIVEN * span
 
 
 @dataclass(frozen=True)

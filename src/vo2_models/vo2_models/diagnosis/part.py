@@ -19,8 +19,9 @@ __all__ = ["Part", "prepare", "regular", "value_step"]
 Floats = NDArray[np.float64]
 BLIND = 3
 """Missing samples in a row after which the memory of the loops may be another."""
-AWAY = 0.1
-"""Share of its range by which the drive of a device without body must be able to move in a gap for that."""
+AWAY = 0.5
+"""Share of its range by which the drive of a device without body must be able to move in a gap for that: where it goes
+from one end of the gap to the other without a turn, the loops are as if they had seen it."""
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,8 @@ def search(
     hypotheses with their scores, refitted explanations, best first, and what was not excited
     """
     problem = located.problem
-    if located.within_misfit(limits):
+    hidden = drift_of(problem, problem.residual).significant(limits.drift_p)
+    if located.within_misfit(limits) and not hidden:
         return Search((), (), (), (), False, ())
     candidates = hypotheses(problem, located.nominal.device, located.remaining)
     if first_use:
@@ -79,7 +80,6 @@ def search(
     clock.expected = 2 * sum(len(h.starts) for h in candidates) + 40 * SHORTLIST + 200
     clock.say(f"trying {len(candidates)} effects")
     shortlist = 2 * SHORTLIST if one_loop else SHORTLIST
-    hidden = drift_of(problem, problem.residual).significant(limits.drift_p)
     scores = score(problem, candidates, problem.residual, tick=clock.tick)
     clock.say("refitting the most promising")
     fits = _refitted(problem, scores, limits, shortlist, clock)

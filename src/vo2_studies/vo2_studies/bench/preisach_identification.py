@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from statistics import median
-from time import perf_counter
+from time import perf_counter, process_time
 
 import numpy as np
 from scipy.optimize import nnls
@@ -11,6 +11,7 @@ from vo2_models.hysteresis.preisach import (
     PreisachOperator,
     compress,
     fit_preisach,
+    fit_smooth,
     identify_preisach_compressed,
     signed_area_matrix,
 )
@@ -107,7 +108,28 @@ def _compression(level: int) -> Figure:
     return Figure(seconds, "s", note="J_KL, every partition compared")
 
 
+def _smooth(samples: int, level: int, repeats: int) -> Figure:
+    """Non-negative smooth density with its strength by five folds, from a damped oscillation at 1 % noise."""
+    x = np.linspace(0.0, 1.0, samples)
+    v = 1.0 + (1.0 - 0.9 * x) * np.cos(2 * np.pi * max(samples / 250.0, 3.0) * x)
+    high, low = np.tril_indices(40)
+    law = PreisachOperator(np.linspace(0.0, 2.0, 41), np.exp(-0.5 * ((high - low - 6) / 4) ** 2))
+    u = law(v)
+    u = u + 0.01 * np.ptp(u) * np.random.default_rng(5).standard_normal(samples)
+    walls = np.linspace(0.0, 2.0, level + 1)
+    found = fit_smooth(v, u, walls)
+    left = float(np.std(found.residual) / np.ptp(u))
+    if not left < 0.02:
+        raise RuntimeError(f"fit_smooth: left {left:.2g} of the span, need less than 0.02 at a noise of 0.01")
+    start = process_time()
+    seconds, _ = alternate(lambda: fit_smooth(v, u, walls), repeats=repeats)
+    used = (process_time() - start) / (repeats + 1)
+    return Figure(seconds, "s", note=f"{samples} samples, L = {level}, {used:.2g} s of processor")
+
+
 ENTRIES = (
+    Entry("fit_smooth_61", lambda: _smooth(61, 30, 5), target=1.0),
+    Entry("fit_smooth_10000", lambda: _smooth(10_000, 60, 1), target=10.0),
     Entry("cs_l30", compressive, 0.1),
     Entry("nnls_l30", lambda: _least_squares(30, True), 0.03),
     Entry("nnls_l100", lambda: _least_squares(100, False), 15.0),

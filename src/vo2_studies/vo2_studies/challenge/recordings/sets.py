@@ -19,7 +19,7 @@ from vo2_models.recording import Recording
 __all__ = ["MeasuredSet", "load_sets", "repeat_spread"]
 
 Array = NDArray[np.floating]
-MOST = 2000
+MOST = 1200
 """Most samples of a recording: of a longer one every second, third ... is taken, so that a case takes minutes."""
 BINS = 60
 """Bins of the drive, for each direction, in which repeats are compared, where there are samples for them."""

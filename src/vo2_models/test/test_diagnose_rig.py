@@ -1,0 +1,66 @@
+"""Diagnosis of a device without body: its own misfit is the yardstick; few, jittered and unstamped samples are judged."""
+
+import numpy as np
+import pytest
+from vo2_models.device.description import described
+from vo2_models.diagnosis.pipeline import study
+from vo2_models.diagnosis.report import assemble_diagnosis
+from vo2_models.hysteresis.preisach import PreisachOperator
+from vo2_models.identification.model_fit import fit_model
+from vo2_models.recording import HEATER_CURRENT, TIP_DEFLECTION, Recording
+
+DEVICE = described(
+    {
+        "schema": "vo2-device/1",
+        "id": "stack",
+        "drive": {"channel": "volts", "unit": "V", "limits": [-0.5, 10.5], "operating": [0.0, 10.0]},
+        "body": {"kind": "none"},
+        "responses": {"stroke": {"unit": "m"}},
+    },
+    "stack",
+)
+HIGH, LOW = np.tril_indices(40)
+LAW = PreisachOperator(np.linspace(0.0, 10.0, 41), np.exp(-0.5 * ((HIGH - LOW - 5) / 4) ** 2) * 1e-7)
+SIZE = 900
+
+
+def recorded(
+    seed: int, every: int = 1, jitter: float = 0.0, cycles: int = 9, change=lambda y: y
+) -> Recording:
+    """Loops of falling size, in another order of amplitudes for each seed, with slow misfit that no law has."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(SIZE) * 0.1
+    size = np.interp(np.arange(SIZE), np.linspace(0, SIZE, 7), 5.0 * rng.permutation(np.linspace(0.4, 1, 7)))
+    size[: SIZE // 6] = 5.0
+    volts = 5.0 - size * np.cos(2 * np.pi * cycles * time / time[-1])
+    stroke = LAW(volts)
+    wander = np.interp(time, np.linspace(0, time[-1], 12), rng.standard_normal(12))
+    stroke = change(stroke) + np.ptp(stroke) * (4e-3 * wander + 5e-4 * rng.standard_normal(SIZE))
+    stamps = time + jitter * rng.uniform(-0.1, 0.1, SIZE)
+    channels = {HEATER_CURRENT: volts[::every], TIP_DEFLECTION: stroke[::every]}
+    return Recording(stamps[::every], channels, "stack")
+
+
+@pytest.fixture(scope="module")
+def model():
+    return fit_model([recorded(1)], DEVICE.key)[1]
+
+
+@pytest.mark.parametrize(
+    ("given", "finding"),
+    [({}, ""), ({"every": 15, "cycles": 2}, "few"), ({"jitter": 0.3}, "jitter")],
+    ids=str,
+)
+def test_an_unchanged_device_agrees_and_nothing_is_named(model, given, finding):
+    found = study([recorded(2, **given)], model)
+    assert found.decision.verdict in ("agrees", "drifted") and found.decision.chosen is None
+    assert not assemble_diagnosis(found).effects
+    assert max(found.located.own_misfit.values()) < found.limits.own_misfit
+    assert not finding or finding in [f.kind for f in found.reading.findings]
+
+
+def test_a_large_change_differs(model):
+    span = np.ptp(recorded(2)[TIP_DEFLECTION])
+    found = study([recorded(2, change=lambda y: np.minimum(y, y.max() - 0.3 * span))], model)
+    assert found.decision.verdict == "differs"
+    assert found.located.own_misfit[TIP_DEFLECTION] > found.limits.own_misfit
