@@ -1,6 +1,7 @@
 """The examples: what is held out, the yardstick, and one case from its file to its error."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from vo2_models.device import preset
 from vo2_models.hysteresis.preisach import PreisachOperator
 from vo2_studies.examples.cases import Case, Example, held_out, read_examples
 from vo2_studies.examples.command import main
+from vo2_studies.examples.conditions import AGREEMENT, agreement, ask, read_conditions
 from vo2_studies.examples.plain_preisach import plain_preisach
 from vo2_studies.examples.run import run_case
 
@@ -74,3 +76,38 @@ def test_the_command_without_data(tmp_path, capsys):
     assert "nowhere, need the folder of measured recordings" in capsys.readouterr().err
     assert main(["--output", str(tmp_path), "--data", str(tmp_path), "--only", "nothing"]) == 2
     assert "--only: found 'nothing'" in capsys.readouterr().err
+
+
+def _said(verdict, *effects):
+    return SimpleNamespace(
+        verdict=verdict, effects=[SimpleNamespace(id=name, family=family) for name, family in effects]
+    )
+
+
+def test_how_an_answer_stands_to_an_experts():
+    conditions = {one.id: one for one in read_conditions(EXAMPLES / "conditions.yaml")}
+    rerun, pulses = conditions["seal_rerun"], conditions["vo2_pulse_amplitude"]
+    drift = conditions["magnetometer_drift"]
+    roles = {"tip_deflection": "moment"}
+    for condition, said, word in (
+        (rerun, _said("agrees"), "same"),
+        (rerun, _said("drifted"), "another verdict"),
+        (rerun, _said("differs", ("creep", "structure")), "wrong name"),
+        (pulses, _said("differs", ("log_creep", "structure")), "same"),
+        (pulses, _said("differs", ("creep", "structure")), "wrong name"),
+        (pulses, _said("differs", ("unknown", "heat")), "unknown, same family"),
+        (pulses, _said("differs", ("unknown", "drive")), "another family"),
+        (drift, _said("differs", ("unknown", "sensor:tip_deflection")), "unknown, same family"),
+    ):
+        assert agreement(condition, said, roles) == word
+        assert word in AGREEMENT
+
+
+def test_a_condition_without_a_drive_is_not_asked(tmp_path):
+    (tmp_path / "vo2_device").mkdir()
+    (tmp_path / "vo2_device" / "relaxation_timescales.xlsx").touch()
+    (condition,) = (
+        one for one in read_conditions(EXAMPLES / "conditions.yaml") if one.id == "vo2_relaxation_depth"
+    )
+    found = ask(condition, read_examples(EXAMPLES), tmp_path, tmp_path / "out")
+    assert found.agreement == "not asked" and "has no column for a drive" in found.said

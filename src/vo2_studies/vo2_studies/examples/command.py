@@ -90,6 +90,7 @@ def _run_conditions(options: argparse.Namespace, data: Path) -> int:
         raise ValueError(f"--only: found {options.only!r}, need the id of a condition of conditions.yaml")
     examples, found = read_examples(folder), []
     with OutputFolder(options.output, _ASKED).replaced() as output:
+        (output / "conditions").mkdir(parents=True)  # there even where no condition could be asked
         for condition in conditions:
             one = ask(condition, examples, data, output / "conditions")
             found.append(one)
