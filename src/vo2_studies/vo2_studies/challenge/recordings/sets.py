@@ -169,7 +169,7 @@ def _every(recording: Recording, first: int, step: int) -> Recording:
 def _magnet(folder: Path) -> MeasuredSet:
     """First-order reversal curves, every second one for the calibration; no stamps: the elapsed time in equal parts."""
     text = (folder / "magnetic_forc" / "UB199BF").read_text(encoding="latin-1")
-    curves: list[Array] = []
+    curves: list[NDArray[np.float64]] = []
     before: list[list[str]] = []
     for block in text.split("\n\n"):
         pairs = [line.split(",") for line in block.split("\n") if line[:1] in "+-" and line.count(",") == 1]
