@@ -139,10 +139,8 @@ def held_out(
         count += int(np.count_nonzero(use))
         for row in problem.rows:
             some = use[row.where]
-            noise = problem.nominal.noise[row.channel]
-            weight = np.where(problem.weight[row.where] > 0, problem.weight[row.where], 1.0)
             for name, vector in (("before", nominal.residual), ("after", with_it)):
-                plain = noise.color(vector[row.where] / weight)
+                plain = problem.in_its_unit(row, vector)
                 squares[name][row.channel] = squares[name].get(row.channel, 0.0) + float(
                     np.sum(plain[some] ** 2)
                 )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vo2_models.diagnosis.breakdown import Breakdown, breakdown
 from vo2_models.diagnosis.limits import Limits
+from vo2_models.diagnosis.misfit import NO_MISFIT
 from vo2_models.diagnosis.noise import fit_noise
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.nuisance import loop_shapes
@@ -137,15 +138,16 @@ def _refine_noise_model(
     A calibration is slow and its noise may have another colour; where an effect is in the channel its residual is
     no noise, and the calibration's stands.
     """
+    remaining = problem.apply_inverse_covariance(problem.residual)
     # a weight stands for misfit that is expected: what there is of it must not pass for a low noise
-    left = problem.apply_inverse_covariance(problem.residual) / np.where(
-        problem.weight > 0, problem.weight, 1.0
-    )
+    left = remaining / np.where(problem.weight > 0, problem.weight, 1.0)
     before = nominal.noise
     noise = dict(before)
     parts = problem.parts
     for channel in dict.fromkeys(row.channel for row in problem.rows):
         rows = [row for row in problem.rows if row.channel == channel]
+        if any(problem.misfit_in(row) for row in rows):
+            continue  # the rest of a misfit is no noise
         power = [float(np.mean(left[row.where][problem.weight[row.where] > 0] ** 2)) for row in rows]
         if not all(0.3 < p < limits.quiet for p in power):
             continue
@@ -154,7 +156,7 @@ def _refine_noise_model(
         ):  # a reading that follows the command to its noise is of the same moments
             parts = tuple(replace(part, read_late=False) for part in problem.parts)
         known = noise[channel]
-        plain = [known.color(left[row.where]) for row in rows]
+        plain = [problem.in_its_unit(row, remaining) for row in rows]
         found = fit_noise(
             np.concatenate(plain), np.concatenate([problem.weight[row.where] > 0 for row in rows])
         )
@@ -166,7 +168,9 @@ def _refine_noise_model(
     posterior = reading.shapes if reading.first_use else loop_shapes(nominal)
     # what a weight stands for is in the noise already where that was found in the recording
     shapes = {
-        channel: shape if noise.get(channel) is before.get(channel) else replace(shape, rough=0.0)
+        channel: shape
+        if noise.get(channel) is before.get(channel)
+        else replace(shape, rough=0.0, misfit=NO_MISFIT)
         for channel, shape in posterior.items()
     }
     return nominal, linearise_problem(

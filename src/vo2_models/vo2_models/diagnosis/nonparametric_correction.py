@@ -163,8 +163,7 @@ def _groups(problem: LinearisedProblem, rows: list[Row], residual: Floats) -> di
         blocks = []
         for row in rows:
             part, response = problem.parts[row.part], problem.nominal_responses[row.part]
-            noise = problem.nominal.noise[row.channel]
-            blocks.append(noise.whiten(builder(part, response, row)) * problem.weight[row.where, None])
+            blocks.append(problem.whiten(row, builder(part, response, row)))
         found[name] = (words, np.concatenate(blocks))
     heat = _felt_temperature(problem, rows)
     if heat is not None:
@@ -192,8 +191,7 @@ def _groups(problem: LinearisedProblem, rows: list[Row], residual: Floats) -> di
             raw = np.column_stack([f(k * phase) for k in (1, 2, 3) for f in (np.sin, np.cos)])
             if driven:
                 raw = np.column_stack([raw, raw * part.current[:, None]])
-            noise = problem.nominal.noise[row.channel]
-            blocks.append(noise.whiten(raw) * problem.weight[row.where, None])
+            blocks.append(problem.whiten(row, raw))
         cause = "a driver that ripples" if driven else "interference"
         found["tone"] = (f"time, periodically at {tone:.4g} Hz: {cause}", np.concatenate(blocks))
     return found

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, cholesky_banded, solve_banded, solve_triangular
 
 from vo2_models.device import DeviceModel, preset
+from vo2_models.diagnosis.misfit import NO_MISFIT, Misfit, innovations
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of
 from vo2_models.diagnosis.parallel import parallel_map
@@ -38,6 +40,8 @@ FORGIVEN = 0.1
 """Share of a channel's range by which the prior lets the loop's shape be off where no calibration says more."""
 ROUGHNESS = (0.0, 1.0, 3.0)
 """Misfit of a block beyond what the basis resolves, in units of the noise; the calibration chooses."""
+MISFITS = ((1.0, 3.0), (1.0, 10.0), (3.0, 3.0), (3.0, 10.0), (10.0, 3.0), (10.0, 10.0))
+"""Wandering misfit in place of it: size in units of the noise, and length [K]; the calibration chooses."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,7 @@ class LoopShape:
     mean : (m,) weights
     factor : (m, m) lower Cholesky factor of the posterior precision
     rough : misfit that remains at single temperatures, in the channel's unit
+    misfit : misfit that goes on from one temperature to the next; none where there is a rough one
     by_lag : time constant or dead time -> (m,) change of the mean by it [1/s]: the calibration fixes loop and lag together
     """
 
@@ -60,6 +65,7 @@ class LoopShape:
     factor: Floats
     rough: float
     by_lag: Mapping[str, Floats] = field(default_factory=dict)
+    misfit: Misfit = NO_MISFIT
 
     def fold(self, moved: Mapping[str, float] | None = None) -> Correction:
         """The mean correction, as a function of the temperature, for lags that are longer than the model's by `moved` [s]."""
@@ -83,14 +89,18 @@ class LoopShape:
 
     def rough_at(self, temperature: Floats) -> Floats:
         """Misfit level (n,) at a temperature: `rough` inside the transition, none outside."""
+        return np.where(self.inside(temperature), self.rough, 0.0)
+
+    def inside(self, temperature: Floats) -> NDArray[np.bool_]:
+        """Whether the film is in transition at a temperature (n,) [degC]."""
         low, high = self.basis.centre_degc
-        return np.where((temperature > low) & (temperature < high), self.rough, 0.0)
+        return np.asarray((temperature > low) & (temperature < high))
 
 
 def loop_shapes(nominal: Nominal) -> dict[str, LoopShape]:
     """Return the posterior of the loop shape of resistance and deflection, from the digest of the calibration.
 
-    The number of domains and the roughness are those of highest marginal likelihood. Without a digest the
+    The number of domains and the kind of misfit are those of highest marginal likelihood. Without a digest the
     prior alone stands, which forgives ten per cent of the loop's shape, or what the fit of a device without body missed.
 
     Parameters
@@ -121,15 +131,28 @@ def _loop_shape(nominal: Nominal, channel: str) -> LoopShape:
     middle = 0.5 * (digest.temperature[1:] + digest.temperature[:-1])
     inside = (middle > basis.centre_degc[0]) & (middle < basis.centre_degc[1])
     best: tuple[float, LoopShape] | None = None
-    for roughness in ROUGHNESS:
+    every = np.column_stack([features, target, *lags])
+
+    def rough_by(size: float) -> tuple[Floats, float]:
+        """Whitened columns, and the logarithm of the determinant, for a misfit of each block by itself."""
         spread = covariance.copy()
-        spread[0] += np.where(inside, (roughness * noise.level) ** 2, 0.0)
+        spread[0] += np.where(inside, (size * noise.level) ** 2, 0.0)
         root = cholesky_banded(spread, lower=True)
-        weighted = solve_banded((root.shape[0] - 1, 0), root, np.column_stack([features, target, *lags]))
-        weighted, aim, others = np.split(weighted, [basis.columns, basis.columns + 1], axis=1)
+        return solve_banded((root.shape[0] - 1, 0), root, every), 2.0 * float(np.sum(np.log(root[0])))
+
+    def wandering(size: float, travel: float) -> tuple[Floats, float]:
+        """The same for a misfit that goes on from block to block; beside it the noise's colour over blocks is nothing."""
+        way = np.abs(np.diff(middle, prepend=middle[:1])) / travel
+        return innovations(every, np.asarray(size * noise.level * inside), way, covariance[0])
+
+    kinds = [(size * noise.level, NO_MISFIT, partial(rough_by, size)) for size in ROUGHNESS]
+    kinds += [(0.0, Misfit(s * noise.level, k), partial(wandering, s, k)) for s, k in MISFITS]
+    for rough, misfit, whitened in kinds:
+        both, log_determinant = whitened()
+        weighted, aim, others = np.split(both, [basis.columns, basis.columns + 1], axis=1)
         aim = aim[:, 0]
         gram, right, right_others = weighted.T @ weighted, weighted.T @ aim, weighted.T @ others
-        energy = float(aim @ aim + 2.0 * np.sum(np.log(root[0])))
+        energy = float(aim @ aim) + log_determinant
         for domains in DOMAINS:
             scale = np.ones(basis.columns)
             scale[basis.groups["scatter"]] = np.sqrt(basis.domains / domains)
@@ -143,12 +166,14 @@ def _loop_shape(nominal: Nominal, channel: str) -> LoopShape:
                 half = solve_triangular(factor, scale[:, None] * right_others, lower=True, check_finite=False)
                 means = solve_triangular(factor, half, lower=True, trans="T", check_finite=False)
                 shape = LoopShape(
-                    replace(basis, domains=domains), span, mean, factor, roughness * noise.level,
-                    dict(zip(digest.by_lag, means.T, strict=True)),
+                    replace(basis, domains=domains), span, mean, factor, rough,
+                    dict(zip(digest.by_lag, means.T, strict=True)), misfit,
                 )  # fmt: skip
                 best = (score, shape)
     if best is None:
-        raise ValueError("loop shapes: found no candidate of ROUGHNESS and DOMAINS, need at least one")
+        raise ValueError(
+            "loop shapes: found no candidate of ROUGHNESS, MISFITS and DOMAINS, need at least one"
+        )
     return best[1]
 
 

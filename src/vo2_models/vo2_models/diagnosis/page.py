@@ -94,11 +94,10 @@ def _residual_figure(study: Study) -> str:
         axes = np.atleast_1d(figure.subplots(len(rows), 1, sharex=True))
         for axis, (row, part) in zip(axes, rows, strict=True):
             noise = problem.nominal.noise[row.channel]
-            weight = np.where(problem.weight[row.where] > 0, problem.weight[row.where], 1.0)
             _, label, scale = SHOWN[row.channel]
             time = part.time_s - part.time_s[0]
             for vector, colour, name in ((left, BEFORE, "before"), (after, AFTER, "after")):
-                plain = noise.color(vector[row.where] / weight) * scale
+                plain = problem.in_its_unit(row, vector) * scale
                 low, high, middle = _envelope(time, plain)
                 axis.fill_between(middle, low, high, color=colour, alpha=0.55, linewidth=0, label=name)
             for sign in (-2, 2):

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from vo2_models.diagnosis.current_reading import between_samples
+from vo2_models.diagnosis.misfit import NO_MISFIT, Whitening
 from vo2_models.diagnosis.nominal import Nominal, Response
 from vo2_models.diagnosis.nuisance import Constant, LoopShape, constants_of, law_columns, loop_shapes
 from vo2_models.diagnosis.parallel import parallel_map
@@ -63,6 +64,7 @@ class LinearisedProblem:
     parts : recordings
     rows : layout of the stacked vectors
     weight : (N,) 0 where a sample is missing, else what divides the innovation (1 without rough misfit)
+    whitening : one per row
     nominal_responses : one per part
     residual : (N,) whitened residual of the nominal simulation
     nuisance : (N, k) whitened tangent of the nuisance model
@@ -81,6 +83,7 @@ class LinearisedProblem:
     parts: tuple[Part, ...]
     rows: tuple[Row, ...]
     weight: Floats
+    whitening: tuple[Whitening, ...]
     nominal_responses: tuple[Response, ...]
     residual: Floats
     nuisance: Tangent
@@ -145,11 +148,23 @@ class LinearisedProblem:
         """Whitened (N,) difference of responses from a reference (by default the nominal ones)."""
         known = self.nominal_responses if reference is None else reference
         out = np.empty(self.weight.size)
-        for row in self.rows:
+        for row, whiten in zip(self.rows, self.whitening, strict=True):
             new = responses[row.part].channels[row.channel]
             old = known[row.part].channels[row.channel]
-            out[row.where] = self.nominal.noise[row.channel].whiten(new - old)
-        return out * self.weight
+            out[row.where] = whiten(new - old)
+        return out * (self.weight > 0.0)
+
+    def whiten(self, row: Row, columns: Floats) -> Floats:
+        """Whiten (n,) or (n, p) in a channel's unit, as the residual was."""
+        return self.whitening[self.rows.index(row)](columns)
+
+    def misfit_in(self, row: Row) -> bool:
+        """Whether the device's own misfit is expected in a channel."""
+        return bool(np.any(self.whitening[self.rows.index(row)].slope))
+
+    def in_its_unit(self, row: Row, vector: Floats) -> Floats:
+        """Values (n,) of a channel, in its unit, whose whitened form stands in a vector (N,)."""
+        return self.whitening[self.rows.index(row)].undo(vector[row.where])
 
     def deviation(self, effects: Effects, shift: Floats | None = None, *, fine: bool = True) -> Floats:
         """Whitened (N,) change of the simulation that effects make.
@@ -288,6 +303,7 @@ def linearise_problem(
                 end += part.size
     weight = np.empty(end)
     residual = np.empty(end)
+    whitening = []
     for row in rows:
         part, response = parts[row.part], responses[row.part]
         noise = corrected.noise[row.channel]
@@ -301,12 +317,17 @@ def linearise_problem(
         weight[row.where] = _reach(counts, len(noise.ar)) / np.sqrt(
             1.0 + (rough**2 + part.comb_level(row.channel) ** 2) / noise.level**2
         )
-        residual[row.where] = noise.whiten(np.where(counts, measured - predicted, 0.0))
-    residual *= weight
-    kept = _loop_columns(shapes, rows, responses, corrected, weight, loops or {}, refits=refits)
-    blocks = _whitened(kept, rows, parts, corrected, effects or {}, weight)
+        shape, path = shapes.get(row.channel), response.temperature
+        misfit, inside = (
+            (shape.misfit, shape.inside(path)) if shape else (NO_MISFIT, np.zeros(path.size, bool))
+        )
+        whitening.append(Whitening.along(path, noise, weight[row.where], misfit, inside))
+        residual[row.where] = whitening[-1](np.where(counts, measured - predicted, 0.0))
+    kept = _loop_columns(shapes, rows, responses, corrected, whitening, loops or {}, refits=refits)
+    blocks = _whitened(kept, rows, parts, corrected, effects or {}, whitening)
     partial = LinearisedProblem(
-        corrected, origin, tuple(parts), tuple(rows), weight, tuple(responses), residual,
+        corrected, origin, tuple(parts), tuple(rows), weight, tuple(whitening), tuple(responses),
+        residual,
         Tangent((), np.zeros((end, 0))), constants, dict(effects or {}), shapes, kept, loop_origin=about,
         refits=refits,
     )  # fmt: skip
@@ -362,8 +383,7 @@ def _loop_coupling(problem: LinearisedProblem) -> Floats:
             change = shape.basis.fold(weights, span=shape.span)(response.temperature)
             if row.channel == TIP_DEFLECTION:
                 change = through_structure(simulation, change[:, None], part.dt)[:, 0]
-            whitened = problem.nominal.noise[row.channel].whiten(change)
-            out[row.where, place] = whitened * problem.weight[row.where]
+            out[row.where, place] = problem.whiten(row, change)
     return out
 
 
@@ -420,7 +440,7 @@ def _loop_columns(
     rows: Sequence[Row],
     responses: Sequence[Response],
     nominal: Nominal,
-    weight: Floats,
+    whitening: Sequence[Whitening],
     known: Mapping[str, LoopColumns],
     *,
     refits: bool,
@@ -431,6 +451,7 @@ def _loop_columns(
 
     def columns(channel: str) -> LoopColumns:
         own = [row for row in rows if row.channel == channel]
+        whiten = [w for row, w in zip(rows, whitening, strict=True) if row.channel == channel]
         paths = tuple(responses[row.part].temperature for row in own)
         before, shape = known.get(channel), shapes[channel]
         if before is not None and before.fits(paths):
@@ -439,11 +460,7 @@ def _loop_columns(
         if before is not None:
             directions = before.directions
         else:
-            noise = nominal.noise[channel]
-            gram = sum(
-                _sampled_gram(_weighed(noise.whiten(f), weight[row.where]))
-                for f, row in zip(features, own, strict=True)
-            )
+            gram = sum(_sampled_gram(w(f)) for f, w in zip(features, whiten, strict=True))
             directions = shape.spread(_main_directions(shape.whitened(np.asarray(gram)), most=most))
         raw = tuple(f @ directions for f in features)
         if refits:
@@ -462,27 +479,22 @@ def _whitened(
     parts: Sequence[Part],
     nominal: Nominal,
     effects: Effects,
-    weight: Floats,
+    whitening: Sequence[Whitening],
 ) -> tuple[tuple[slice, Floats], ...]:
     """Whitened block of each channel, with its rows; what is open in the deflection's loop rings and creeps as all of it."""
     simulation = nominal.model.simulation.with_effects(effects)
     blocks = []
     for channel, columns in loops.items():
-        noise = nominal.noise[channel]
-        own, block = [row for row in rows if row.channel == channel], []
-        for raw, row in zip(columns.raw, own, strict=True):
+        own = [row for row in rows if row.channel == channel]
+        whiten = [w for row, w in zip(rows, whitening, strict=True) if row.channel == channel]
+        block = []
+        for raw, row, w in zip(columns.raw, own, whiten, strict=True):
             seen = (
                 through_structure(simulation, raw, parts[row.part].dt) if channel == TIP_DEFLECTION else raw
             )
-            block.append(_weighed(noise.whiten(seen), weight[row.where]))
+            block.append(w(seen))
         blocks.append((slice(own[0].where.start, own[-1].where.stop), np.concatenate(block)))
     return tuple(blocks)
-
-
-def _weighed(columns: Floats, weight: Floats) -> Floats:
-    """Multiply columns (n, k) by weights (n,), in place: they are large."""
-    columns *= weight[:, None]
-    return columns
 
 
 def _sampled_gram(block: Floats, sample: int = 6000) -> Floats:

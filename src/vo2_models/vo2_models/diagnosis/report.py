@@ -114,15 +114,11 @@ def _fit(study: Study) -> dict[str, ChannelFit]:
     span = study.located.nominal.span
     after = dict(study.decision.judged.after)
     if study.decision.unnamed is not None and study.decision.chosen is None:
-        for row, _, _ in study.located.problem.iterate():
-            noise = study.located.problem.nominal.noise[row.channel]
-            weight = study.located.problem.weight[row.where]
-            use = weight > 0
-            left = (
-                study.located.problem.apply_inverse_covariance(study.located.problem.residual)[row.where]
-                - study.decision.unnamed.prediction[row.where]
-            )
-            plain = noise.color(left / np.where(use, weight, 1.0))
+        problem = study.located.problem
+        left = problem.apply_inverse_covariance(problem.residual) - study.decision.unnamed.prediction
+        for row in problem.rows:
+            plain = problem.in_its_unit(row, left)
+            use = problem.weight[row.where] > 0
             after[row.channel] = float(np.sqrt(np.mean(plain[use] ** 2)))
     return {
         c: ChannelFit(
@@ -216,9 +212,18 @@ def _weights(study: Study, everyone: Sequence[Explanation], chi: Sequence[float]
     same = next((r for r in study.decision.rivals if r.keys == chosen.keys), None)
     if same is None:
         return weights
-    odds = [1.0, *(odds_of_rival(problem, same.deviation, rival.deviation) for rival in everyone[1:])]
+    change = _change(problem, same)
+    odds = [1.0, *(odds_of_rival(problem, change, _change(problem, rival)) for rival in everyone[1:])]
     weights = np.maximum(weights / weights[0], odds)
     return np.asarray(weights / np.sum(weights))
+
+
+def _change(problem: LinearisedProblem, explanation: Explanation) -> Floats:
+    """Return the whitened change (N,) from the simulation without effects: some were fitted about themselves."""
+    if explanation.courses:
+        return explanation.deviation
+    shift = np.pad(explanation.shift, (0, problem.origin.size - explanation.shift.size))
+    return problem.deviation(explanation.effects, shift)
 
 
 def _something_else(study: Study) -> float:
@@ -456,9 +461,10 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
 def odds_of_rival(problem: LinearisedProblem, deviation: Floats, rival: Floats, *, blocks: int = 24) -> float:
     """Odds, 0 to 1, of one change of the simulation against another that fits better: their tempered likelihood ratio.
 
-    The logarithm L of the likelihood ratio has the variance 2 L where the residual is noise. Its scatter S^2 is taken from
-    long blocks of the recordings: misfit that is correlated over a block counts once, however many samples it has. Tempered
-    by S^2 / (2 L), the ratio is exp(-2 L^2 / S^2).
+    With n what the better one leaves and d the difference of the two, the logarithm of the likelihood ratio is the sum of
+    n d + d^2 / 2: its mean L = sum of d^2 / 2 is certain, what scatters is n d. Where n is noise the variance is 2 L; misfit
+    that is correlated over a block counts once, however many samples it has: S^2 is the sum over long blocks of
+    (sum of n d)^2, at least 2 L. Tempered by S^2 / (2 L), the ratio is exp(-2 L^2 / S^2).
 
     Parameters
     ----------
@@ -466,16 +472,19 @@ def odds_of_rival(problem: LinearisedProblem, deviation: Floats, rival: Floats, 
     deviation, rival : (N,) whitened
     blocks : of each recording
     """
-    left = [problem.apply_inverse_covariance(problem.residual - change) for change in (deviation, rival)]
-    ratio = 0.5 * (left[1] ** 2 - left[0] ** 2)
+    left, others = (
+        problem.apply_inverse_covariance(problem.residual - change) for change in (deviation, rival)
+    )
+    apart = others - left
+    chance = left * apart
+    ratio = float(np.sum(chance + 0.5 * apart**2))
     sums: dict[tuple[int, int], float] = {}
     for row, part, _ in problem.iterate():
         edges = np.arange(blocks) * part.size // blocks
-        for k, value in enumerate(np.add.reduceat(ratio[row.where], edges)):
+        for k, value in enumerate(np.add.reduceat(chance[row.where], edges)):
             sums[row.part, k] = sums.get((row.part, k), 0.0) + float(value)
-    each = np.array(list(sums.values()))
-    total, scatter = max(float(np.sum(each)), 0.0), float(np.std(each, ddof=1)) * np.sqrt(each.size)
-    return float(np.exp(-2.0 * (total / max(scatter, 1e-12)) ** 2))
+    scatter = max(sum(value**2 for value in sums.values()), float(apart @ apart), 1e-12)
+    return float(np.exp(-2.0 * max(ratio, 0.0) ** 2 / scatter))
 
 
 def probabilities(
