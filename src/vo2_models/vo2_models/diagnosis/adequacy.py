@@ -27,11 +27,13 @@ class Adequacy:
     ----------
     gain : drop of chi-square
     left : excess energy that is left, in noise powers of a sample
+    own : the same that the device's own misfit is expected to leave
     structured : of that, what functions without a name predict on held-out blocks
     """
 
     gain: float
     left: float
+    own: float
     structured: float
 
     @property
@@ -45,17 +47,19 @@ class Adequacy:
         return self.structured / max(self.gain + self.structured, 1e-300)
 
     def sufficient(self, limits: Limits) -> bool:
-        """Whether most is explained and next to nothing predictable is left."""
-        return self.share >= limits.explained and self.open <= 1.0 - limits.complete
+        """Whether most is explained, no more is left than the device's own misfit, and next to nothing that is predictable."""
+        no_more = self.left <= self.own or self.share >= limits.complete
+        return self.share >= limits.explained and no_more and self.open <= 1.0 - limits.complete
 
 
-def adequacy_of(option: Option, problem: LinearisedProblem, limits: Limits) -> Adequacy:
+def adequacy_of(option: Option, problem: LinearisedProblem, left_out: float, limits: Limits) -> Adequacy:
     """Judge what an option leaves over.
 
     Parameters
     ----------
     option : the explanation with the problem about it
     problem : without effects, which the gain is told against
+    left_out : excess power, in noise powers of a sample, of the device's own misfit
     limits : below which excess nothing is looked for
 
     Returns
@@ -64,8 +68,9 @@ def adequacy_of(option: Option, problem: LinearisedProblem, limits: Limits) -> A
     """
     final, gain = option.final, option.chosen.gain
     left = final.count * option.remaining
+    own = final.count * max(left_out, limits.slack)
     if option.remaining < limits.slack:  # what is left is noise, or hardly more
-        return Adequacy(gain, left, 0.0)
+        return Adequacy(gain, left, own, 0.0)
     residual = final.apply_inverse_covariance(final.residual - option.chosen.deviation)
     found = fit_nonparametric_correction(final, residual, block_folds(final))
-    return Adequacy(gain, left, found.removed)
+    return Adequacy(gain, left, own, found.removed)

@@ -120,7 +120,7 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
     for option in found.options:
         judged = held_out(option.final, option.chosen, reference=problem, folds=folds, tick=clock.tick)
         shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
-        adequacy = adequacy_of(option, problem, limits)
+        adequacy = adequacy_of(option, problem, located.left_out, limits)
         shown = max(shown, adequacy.share, judged.share)
         admissible = _is_admissible(option, judged, adequacy, limits)
         if located.own_misfit:
@@ -180,7 +180,7 @@ def _unnamed(
     """No name: agreement, moved constants, or an excess that only a correction without a name describes."""
     problem, unnamed = located.problem, None
     loud = located.total_excess > limits.excess or max(located.excess.values()) > limits.channel_excess
-    loud = loud and not located.within_misfit(limits)
+    loud = loud and located.total_excess > located.left_out and not located.within_misfit(limits)
     if loud:
         clock.say("shaping what has no name")
         unnamed = fit_nonparametric_correction(problem, located.remaining, block_folds(problem))

@@ -36,6 +36,7 @@ class Located:
     excess : channel -> excess power over noise power, nuisance parameters refitted
     total_excess : the same of all channels
     breakdown : where the excess is
+    left_out : excess power, in noise powers, of the stretch of the calibration that the others predict worst
     own_misfit : channel -> r.m.s. distance from the model over the error that the fit made on parts of its calibration
         that it was not given; empty where that is not known
     """
@@ -46,6 +47,7 @@ class Located:
     excess: Mapping[str, float]
     total_excess: float
     breakdown: tuple[Breakdown, ...]
+    left_out: float = 0.0
     own_misfit: Mapping[str, float] = field(default_factory=dict)
 
     def within_misfit(self, limits: Limits) -> bool:
@@ -83,8 +85,18 @@ def locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
         excess,
         total,
         tuple(breakdown(problem, remaining)),
+        _left_out(problem),
         _over_misfit(problem),
     )
+
+
+def _left_out(problem: LinearisedProblem) -> float:
+    """Excess power that the calibration's worst stretch leads to expect of these recordings, all channels together."""
+    expected = 0.0
+    for row in problem.rows:
+        shape = problem.shapes.get(row.channel)
+        expected += (shape.left_out if shape else 0.0) * np.count_nonzero(problem.weight[row.where])
+    return expected / max(problem.count, 1)
 
 
 def _over_misfit(problem: LinearisedProblem) -> dict[str, float]:
@@ -97,10 +109,10 @@ def _over_misfit(problem: LinearisedProblem) -> dict[str, float]:
         sensor = model.sensors.get(channel)
         if sensor is None or not sensor.misfit > 0.0:
             continue
-        noise, squares, count = problem.nominal.noise[channel], 0.0, 0
+        squares, count = 0.0, 0
         for row in (row for row in problem.rows if row.channel == channel):
             counts = problem.weight[row.where] > 0
-            squares += float(np.sum(noise.color(problem.residual[row.where])[counts] ** 2))
+            squares += float(np.sum(problem.in_its_unit(row, problem.residual)[counts] ** 2))
             count += int(np.count_nonzero(counts))
         found[channel] = float(np.sqrt(squares / max(count, 1))) / sensor.misfit
     return found

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, cholesky_banded, solve_banded, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, cholesky, cholesky_banded, solve_banded, solve_triangular
 
 from vo2_models.device import DeviceModel, preset
 from vo2_models.diagnosis.misfit import NO_MISFIT, Misfit, innovations
@@ -42,6 +43,8 @@ ROUGHNESS = (0.0, 1.0, 3.0)
 """Misfit of a block beyond what the basis resolves, in units of the noise; the calibration chooses."""
 MISFITS = ((1.0, 3.0), (1.0, 10.0), (3.0, 3.0), (3.0, 10.0), (10.0, 3.0), (10.0, 10.0))
 """Wandering misfit in place of it: size in units of the noise, and length [K]; the calibration chooses."""
+STRETCHES = 6
+"""Stretches of the calibration that are left out in turn."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ class LoopShape:
     factor : (m, m) lower Cholesky factor of the posterior precision
     rough : misfit that remains at single temperatures, in the channel's unit
     misfit : misfit that goes on from one temperature to the next; none where there is a rough one
+    left_out : excess power, in noise powers, of the stretch of the calibration that the others predict worst
     by_lag : time constant or dead time -> (m,) change of the mean by it [1/s]: the calibration fixes loop and lag together
     """
 
@@ -66,6 +70,7 @@ class LoopShape:
     rough: float
     by_lag: Mapping[str, Floats] = field(default_factory=dict)
     misfit: Misfit = NO_MISFIT
+    left_out: float = 0.0
 
     def fold(self, moved: Mapping[str, float] | None = None) -> Correction:
         """The mean correction, as a function of the temperature, for lags that are longer than the model's by `moved` [s]."""
@@ -130,7 +135,7 @@ def _loop_shape(nominal: Nominal, channel: str) -> LoopShape:
     covariance[0, digest.count <= 0.0] = 1e8 * noise.level**2
     middle = 0.5 * (digest.temperature[1:] + digest.temperature[:-1])
     inside = (middle > basis.centre_degc[0]) & (middle < basis.centre_degc[1])
-    best: tuple[float, LoopShape] | None = None
+    best: tuple[float, LoopShape, Floats, Floats] | None = None
     every = np.column_stack([features, target, *lags])
 
     def rough_by(size: float) -> tuple[Floats, float]:
@@ -169,12 +174,49 @@ def _loop_shape(nominal: Nominal, channel: str) -> LoopShape:
                     replace(basis, domains=domains), span, mean, factor, rough,
                     dict(zip(digest.by_lag, means.T, strict=True)), misfit,
                 )  # fmt: skip
-                best = (score, shape)
+                best = (score, shape, weighted * scale, aim)
     if best is None:
         raise ValueError(
             "loop shapes: found no candidate of ROUGHNESS, MISFITS and DOMAINS, need at least one"
         )
-    return best[1]
+    _, chosen, columns, aim = best
+    return replace(chosen, left_out=_left_out(columns, aim, digest.count))
+
+
+def _left_out(columns: Floats, target: Floats, count: Floats) -> float:
+    """Excess power of a stretch of the calibration, given the others, in noise powers of a sample; of the worst one.
+
+    With W_k, y_k the whitened columns and residuals of stretch k, P = I + sum over the other stretches of W'W and
+    m = P^-1 sum over them of W'y,
+
+        chi^2_k = (y_k - W_k m)' (I + W_k P^-1 W_k')^-1 (y_k - W_k m).
+
+    A law that the device obeys leaves it at the number of blocks, n; what is beyond chance, n + 2 sqrt(2 n), is misfit.
+    Slow large loops are in one stretch and fast small ones in another, as one recording is unlike the next.
+
+    Parameters
+    ----------
+    columns : (n, m) whitened features of the blocks
+    target : (n,) whitened residuals
+    count : (n,) samples of each block
+    """
+    edges = np.linspace(0, target.size, STRETCHES + 1).astype(int)
+    pieces = [slice(a, b) for a, b in pairwise(edges)]
+    grams = [columns[piece].T @ columns[piece] for piece in pieces]
+    rights = [columns[piece].T @ target[piece] for piece in pieces]
+    gram, right = np.sum(grams, axis=0) + np.eye(columns.shape[1]), np.sum(rights, axis=0)
+    worst = 0.0
+    for piece, own, ours in zip(pieces, grams, rights, strict=True):
+        samples, blocks = float(np.sum(count[piece])), float(np.count_nonzero(count[piece] > 0.0))
+        if samples <= 0.0:
+            continue
+        factor = cho_factor(gram - own, lower=True, check_finite=False)
+        left = target[piece] - columns[piece] @ cho_solve(factor, right - ours, check_finite=False)
+        spread = columns[piece] @ cho_solve(factor, columns[piece].T, check_finite=False)
+        spread[np.diag_indices_from(spread)] += 1.0
+        chi_square = float(left @ cho_solve(cho_factor(spread), left, check_finite=False))
+        worst = max(worst, (chi_square - blocks - 2.0 * np.sqrt(2.0 * blocks)) / samples)
+    return worst
 
 
 def _own_misfit(nominal: Nominal, channel: str, span: float) -> float:
