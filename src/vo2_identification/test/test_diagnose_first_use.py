@@ -51,10 +51,10 @@ def test_what_the_calibration_had_taken_up_is_told_before_and_after(seen) -> Non
 def test_the_command_takes_the_calibration_bag(known, tmp_path, capsys) -> None:
     recording, parameters = known
     write_bag(tmp_path / "calibration", recording)
-    write_bag(tmp_path / "short", concealed(samples=1000).slice(0, 300))
+    write_bag(tmp_path / "short", concealed(samples=1000).slice(0, 40))
     save_model_parameters(tmp_path / "model.yaml", parameters)
     bags = ["--bag", str(tmp_path / "short"), "--calibration", str(tmp_path / "calibration")]
     status = main([*bags, "--model", str(tmp_path / "model.yaml"), "--output", str(tmp_path / "o")])
     assert status == 2
     # both are read, and the one that cannot be used is named
-    assert f"{tmp_path / 'short'}: found 300 samples" in capsys.readouterr().err
+    assert f"{tmp_path / 'short'}: found 40 samples" in capsys.readouterr().err
