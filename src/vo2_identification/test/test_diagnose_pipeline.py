@@ -115,7 +115,12 @@ def test_creep_is_named_located_and_measured(creeping, tmp_path) -> None:
     assert sum(p.share for p in answer.location) == pytest.approx(1.0)
     fit = answer.fit[TIP_DEFLECTION]
     assert fit.nrmse_after < 0.5 * fit.nrmse_before
-    validate(json.loads((tmp_path / "diagnosis.json").read_text()))
+    plain = json.loads((tmp_path / "diagnosis.json").read_text())
+    validate(plain)
+    assert {c: m["left_out"] < 1.0 for c, m in plain["own_misfit"].items()} == {
+        RESISTANCE: True,
+        TIP_DEFLECTION: True,
+    }
     page = (tmp_path / "report.html").read_text()
     assert "creep" in page and "<svg" in page
     assert not any(word in page for word in ("<script", "src=", "@import", "<link"))

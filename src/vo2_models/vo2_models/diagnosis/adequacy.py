@@ -27,7 +27,7 @@ class Adequacy:
     ----------
     gain : drop of chi-square
     left : excess energy that is left, in noise powers of a sample
-    own : the same that the device's own misfit is expected to leave
+    own : the same that the device's own misfit is expected to leave; infinite where that is not known
     structured : of that, what functions without a name predict on held-out blocks
     """
 
@@ -48,7 +48,7 @@ class Adequacy:
 
     def sufficient(self, limits: Limits) -> bool:
         """Whether most is explained, no more is left than the device's own misfit, and next to nothing that is predictable."""
-        no_more = self.left <= self.own or self.share >= limits.complete
+        no_more = self.left <= self.own or self.share >= limits.thorough
         return self.share >= limits.explained and no_more and self.open <= 1.0 - limits.complete
 
 

@@ -120,7 +120,9 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
     for option in found.options:
         judged = held_out(option.final, option.chosen, reference=problem, folds=folds, tick=clock.tick)
         shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
-        adequacy = adequacy_of(option, problem, located.left_out, limits)
+        # a calibration that holds the effect, too, does not say what the law misses without it
+        left_out = np.inf if problem.refits else located.left_out
+        adequacy = adequacy_of(option, problem, left_out, limits)
         shown = max(shown, adequacy.share, judged.share)
         admissible = _is_admissible(option, judged, adequacy, limits)
         if located.own_misfit:

@@ -72,7 +72,19 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
         adequacy={"explained": decision.adequacy.share, "predictable": decision.adequacy.open}
         if decision.adequacy
         else {},
+        own_misfit=_own_misfit(study),
     )
+
+
+def _own_misfit(study: Study) -> dict[str, dict[str, float]]:
+    return {
+        channel: {
+            "level": float(shape.misfit.level),
+            "travel_k": float(shape.misfit.travel),
+            "left_out": float(shape.left_out),
+        }
+        for channel, shape in study.located.problem.shapes.items()
+    }
 
 
 def _moved(study: Study) -> list[MovedConstant]:
