@@ -103,7 +103,7 @@ def test_the_inverse_gives_the_input_of_an_output(name):
     inverse = law.inverse((40.0, 90.0))
     memory = law.settle(40.0)
     model = memory.copy()
-    for wanted in law.run(np.r_[40.0, RNG.uniform(55.0, 80.0, 20)])[1:]:
+    for wanted in law.run(np.r_[40.0, np.random.default_rng(7).uniform(55.0, 80.0, 20)])[1:]:
         found = inverse.invert(wanted, memory)
         step = law.step(found.input, model)
         tolerance = 0.05 * np.ptp(law.span) if name == "domains" else 1e-6
@@ -177,7 +177,7 @@ def test_any_law_goes_into_another_compiled_loop(name):
             out[k] = move(temperature, packed, memory, True)
         return out
 
-    current = RNG.uniform(3e-3, 8e-3, 50)
+    current = np.random.default_rng(7).uniform(3e-3, 8e-3, 50)
     temperature, path = 22.0, []
     for i in current:
         temperature += 0.5 * (22.0 + 1e6 * i**2 - temperature)
