@@ -2,9 +2,18 @@ from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
+try:  # without it, as where this package is looked at before vo2_interface is built, the scripts are ordinary ones
+    from vo2_interface.console_scripts import holding
+except ModuleNotFoundError:
+
+    def holding(*entries):
+        return {}
+
+
 NAME = "rig_template"
 PACKAGE = ElementTree.parse("package.xml").getroot()
 MAINTAINER = PACKAGE.find("maintainer")
+NODES = ["rig = rig_template.executables:rig"]
 
 setup(
     name=NAME,
@@ -23,9 +32,10 @@ setup(
     license=PACKAGE.findtext("license"),
     # newer setuptools drops tests_require, and colcon would then silently run no test
     extras_require={"test": ["pytest"]},
+    cmdclass=holding(*NODES),
     entry_points={
         "console_scripts": [
-            "rig = rig_template.executables:rig",
+            *NODES,
             "instrument = rig_template.instrument:main",
         ],
     },

@@ -3,9 +3,23 @@ from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
+try:  # without it, as where this package is looked at before vo2_interface is built, the scripts are ordinary ones
+    from vo2_interface.console_scripts import holding
+except ModuleNotFoundError:
+
+    def holding(*entries):
+        return {}
+
+
 NAME = "vo2_control"
 PACKAGE = ElementTree.parse("package.xml").getroot()
 MAINTAINER = PACKAGE.find("maintainer")
+NODES = [
+    "reference = vo2_control.executables:reference",
+    "controller = vo2_control.executables:controller",
+    "feedforward = vo2_control.executables:feedforward",
+    "loop = vo2_control.executables:loop",
+]
 
 setup(
     name=NAME,
@@ -26,12 +40,8 @@ setup(
     license=PACKAGE.findtext("license"),
     # newer setuptools drops tests_require, and colcon would then silently run no test
     extras_require={"test": ["pytest"]},
+    cmdclass=holding(*NODES),
     entry_points={
-        "console_scripts": [
-            "reference = vo2_control.executables:reference",
-            "controller = vo2_control.executables:controller",
-            "feedforward = vo2_control.executables:feedforward",
-            "loop = vo2_control.executables:loop",
-        ],
+        "console_scripts": NODES,
     },
 )

@@ -3,9 +3,18 @@ from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
+try:  # without it, as where this package is looked at before vo2_interface is built, the scripts are ordinary ones
+    from vo2_interface.console_scripts import holding
+except ModuleNotFoundError:
+
+    def holding(*entries):
+        return {}
+
+
 NAME = "vo2_estimation"
 PACKAGE = ElementTree.parse("package.xml").getroot()
 MAINTAINER = PACKAGE.find("maintainer")
+NODES = ["estimator = vo2_estimation.executables:estimator"]
 
 setup(
     name=NAME,
@@ -26,9 +35,8 @@ setup(
     license=PACKAGE.findtext("license"),
     # newer setuptools drops tests_require, and colcon would then silently run no test
     extras_require={"test": ["pytest"]},
+    cmdclass=holding(*NODES),
     entry_points={
-        "console_scripts": [
-            "estimator = vo2_estimation.executables:estimator",
-        ],
+        "console_scripts": NODES,
     },
 )

@@ -3,9 +3,18 @@ from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
+try:  # without it, as where this package is looked at before vo2_interface is built, the scripts are ordinary ones
+    from vo2_interface.console_scripts import holding
+except ModuleNotFoundError:
+
+    def holding(*entries):
+        return {}
+
+
 NAME = "vo2_identification"
 PACKAGE = ElementTree.parse("package.xml").getroot()
 MAINTAINER = PACKAGE.find("maintainer")
+NODES = ["identifier = vo2_identification.executables:identifier"]
 
 setup(
     name=NAME,
@@ -26,9 +35,10 @@ setup(
     license=PACKAGE.findtext("license"),
     # newer setuptools drops tests_require, and colcon would then silently run no test
     extras_require={"test": ["pytest"], "dask": ["distributed==2026.8.0"]},
+    cmdclass=holding(*NODES),
     entry_points={
         "console_scripts": [
-            "identifier = vo2_identification.executables:identifier",
+            *NODES,
             "record = vo2_identification.record:main",
             "replay = vo2_identification.replay:main",
             "compress = vo2_identification.compress:main",

@@ -3,9 +3,22 @@ from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
+try:  # without it, as where this package is looked at before vo2_interface is built, the scripts are ordinary ones
+    from vo2_interface.console_scripts import holding
+except ModuleNotFoundError:
+
+    def holding(*entries):
+        return {}
+
+
 NAME = "vo2_interface"
 PACKAGE = ElementTree.parse("package.xml").getroot()
 MAINTAINER = PACKAGE.find("maintainer")
+NODES = [
+    "live = vo2_interface.executables:live",
+    "beam = vo2_interface.executables:beam",
+    "supervise = vo2_interface.executables:supervise",
+]
 
 setup(
     name=NAME,
@@ -28,11 +41,10 @@ setup(
     license=PACKAGE.findtext("license"),
     # newer setuptools drops tests_require, and colcon would then silently run no test
     extras_require={"test": ["pytest"]},
+    cmdclass=holding(*NODES),
     entry_points={
         "console_scripts": [
-            "live = vo2_interface.executables:live",
-            "beam = vo2_interface.executables:beam",
-            "supervise = vo2_interface.executables:supervise",
+            *NODES,
         ]
     },
 )

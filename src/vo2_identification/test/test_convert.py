@@ -158,6 +158,13 @@ def test_a_stretch_without_values_is_one_problem_and_the_infinite_is_no_value(tm
     ]
 
 
+def test_a_scale_that_makes_values_infinite_is_told_by_rows(tmp_path):
+    text = MAP.replace("unit: kohm", "unit: kohm, scale: 1.0e308")
+    assert [problem.text for problem in converted(tmp_path, text=text).problems] == [
+        "rows 2 to 4: film_resistance is infinite, kept as NaN"
+    ]
+
+
 def test_rows_that_repeat_are_counted(tmp_path):
     one = converted(tmp_path, table=TABLE + 2 * "2,3,30,302\n")
     expect_the_table(one.recording)

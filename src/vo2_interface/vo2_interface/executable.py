@@ -14,7 +14,8 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Protocol
+from types import FrameType
+from typing import Any, Protocol
 
 import rclpy
 from rclpy.exceptions import InvalidHandle
@@ -44,6 +45,11 @@ _PATIENCE_S = 1.0
 _LEAVE_S = 6.0
 _STEP_LOOK_S = 0.02
 _LEAST_STEP_S = 0.005
+_ORDINARY: dict[int, Callable[[int, FrameType | None], Any] | signal.Handlers] = {
+    signal.SIGINT: signal.default_int_handler,
+    signal.SIGTERM: signal.SIG_DFL,
+}
+"""What Python does on a signal, whatever handler was there as a node began to load."""
 _BAD_FILE = re.compile(r"params file: '--params-file (.*?)'\. Error: (.*?)(?:, at /.*)?$")
 
 
@@ -63,9 +69,8 @@ class StopFlag:
         self.is_set = False
         self._first_s = math.inf
         self._obeyed = threading.Event()
-        self._before = {
-            number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)
-        }
+        for number in _ORDINARY:
+            signal.signal(number, self._on_signal)
         if stuck is not None:
             self._watch(stuck)
 
@@ -80,7 +85,7 @@ class StopFlag:
         """
         self._obeyed.set()
         if math.isfinite(self._first_s):
-            for each in self._before:
+            for each in _ORDINARY:
                 signal.signal(each, signal.SIG_IGN)
 
     def _on_signal(self, number: int, _frame: object) -> None:
@@ -88,8 +93,8 @@ class StopFlag:
         now = time.monotonic()
         self._first_s = min(self._first_s, now)
         if now - self._first_s > _ONE_END_S:
-            for each, before in self._before.items():
-                signal.signal(each, signal.SIG_DFL if each == signal.SIGTERM else before)
+            for each, handler in _ORDINARY.items():
+                signal.signal(each, handler)
             signal.raise_signal(number)
 
     def _watch(self, stuck: Callable[[], None]) -> None:
@@ -101,7 +106,7 @@ class StopFlag:
         def watch() -> None:
             while True:
                 heard = os.read(hears, 1)[0]
-                if heard in self._before and not self._obeyed.wait(_PATIENCE_S):
+                if heard in _ORDINARY and not self._obeyed.wait(_PATIENCE_S):
                     stuck()
 
         threading.Thread(target=watch, daemon=True).start()
@@ -223,9 +228,16 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
         print(f"{program}: found {' '.join(extra)}; {ARGUMENTS}", file=sys.stderr)
         return 2
     nodes: list[Node] = []
+    closing, closed = threading.Lock(), threading.Event()
+
+    def close_once() -> None:
+        with closing:
+            if not closed.is_set():
+                _close(nodes)
+            closed.set()
 
     def leave_at_once() -> None:
-        _close(nodes)
+        close_once()
         os._exit(0)
 
     stop = StopFlag(leave_at_once)
@@ -261,7 +273,7 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
         return 2
     finally:
         stop.obeyed()
-        _close(nodes)
+        close_once()
         leave_graph(executor, nodes)
 
 

@@ -9,12 +9,14 @@ from importlib import import_module
 
 __all__ = ["quiet_start"]
 
+_ENDS = (signal.SIGINT, signal.SIGTERM)
+
 
 def quiet_start(module: str) -> Callable[[], int]:
     """Return a console script that loads a module and calls its `main`.
 
     Until then nothing has been commanded and nobody is connected: there is nothing to end in order. `run_nodes` takes the
-    signals over.
+    signals over. Those that came before this ran were held back by the script, see `console_scripts`.
 
     Parameters
     ----------
@@ -26,8 +28,9 @@ def quiet_start(module: str) -> Callable[[], int]:
     """
 
     def main() -> int:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in _ENDS:
             signal.signal(number, lambda *_: os._exit(0))
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDS)
         return import_module(module).main()
 
     return main

@@ -168,7 +168,8 @@ def _values(table: Table, source: Source, column_map: ColumnMap) -> NDArray[np.f
                 f"{table.path}: row {row}, column {source.column!r}: found {cell!r}, need a number; "
                 + _remedy(cell, column_map)
             ) from None
-    return source.unit.factor * (source.scale * values + source.offset) + source.unit.offset
+    with np.errstate(over="ignore", invalid="ignore"):  # what a scale makes infinite is reported by its rows
+        return source.unit.factor * (source.scale * values + source.offset) + source.unit.offset
 
 
 def _remedy(cell: Any, column_map: ColumnMap) -> str:
