@@ -14,9 +14,10 @@ from vo2_models.diagnosis.current_reading import as_commanded, between_samples, 
 from vo2_models.diagnosis.explain import Explanation, fit_jointly, score, switched
 from vo2_models.diagnosis.hypotheses import MAGNITUDE_STEP, Hypothesis, hypotheses, windowed
 from vo2_models.diagnosis.limits import Limits
+from vo2_models.diagnosis.loop_shape import _block_covariance
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of, rounded_with_noise
-from vo2_models.diagnosis.nuisance import Coverage, _block_covariance, constants_of, coverage
+from vo2_models.diagnosis.nuisance import Coverage, constants_of, coverage
 from vo2_models.diagnosis.pairs import _untried
 from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.part import prepare

@@ -6,10 +6,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from vo2_models.device import DeviceModel
+from vo2_models.diagnosis.loop_shape import loop_shapes
 from vo2_models.diagnosis.misfit import NO_MISFIT, Misfit, Whitening, innovations
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of
-from vo2_models.diagnosis.nuisance import loop_shapes
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.digest import CalibrationDigest
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION

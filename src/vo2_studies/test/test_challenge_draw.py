@@ -60,12 +60,12 @@ def test_plan_depends_on_seed_and_index_only():
 
 def test_families_conditions_and_excitations_in_turn():
     choice = Choice(condition="all", excitation="all", leave_out="proximity", samples=(2000, 100_000))
-    plans = [plan_case(3, k, choice) for k in range(140)]
+    plans = [plan_case(3, k, choice) for k in range(210)]
     families = Counter(plan.family for plan in plans)
     assert set(families) == set(FAMILIES) - {"proximity"}
-    assert min(families.values()) == max(families.values()) == 28
-    assert Counter(plan.condition for plan in plans) == dict.fromkeys(CONDITIONS, 20)
-    assert Counter(plan.excitation for plan in plans) == dict.fromkeys(EXCITATIONS, 28)
+    assert min(families.values()) == max(families.values()) == 35
+    assert Counter(plan.condition for plan in plans) == dict.fromkeys(CONDITIONS, 30)
+    assert Counter(plan.excitation for plan in plans) == dict.fromkeys(EXCITATIONS, 42)
     lengths = [plan.samples for plan in plans]
     assert 2000 <= min(lengths) < 3000
     assert 70_000 < max(lengths) <= 100_000

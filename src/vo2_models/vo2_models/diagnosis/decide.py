@@ -124,7 +124,7 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
         left_out = np.inf if problem.refits else located.left_out
         adequacy = adequacy_of(option, problem, left_out, limits)
         shown = max(shown, adequacy.share, judged.share)
-        admissible = _is_admissible(option, judged, adequacy, limits)
+        admissible = _is_admissible(option, judged, adequacy, limits) and _beyond_misfit(option, located)
         if located.own_misfit:
             admissible = admissible and _alone(option, found.singles, limits)
         rivals, remaining = option.rivals, option.remaining
@@ -244,6 +244,16 @@ def _is_admissible(option: Option, judged: HeldOut, adequacy: Adequacy, limits: 
         and not chosen.at_bound
         and not _worsens(option, judged)
     )
+
+
+def _beyond_misfit(option: Option, located: Located) -> bool:
+    """Whether an explanation gains more than all that the device's own misfit is expected to leave.
+
+    What the values themselves show needs no comparison; of a device that is fitted anew no misfit is known.
+    """
+    if located.problem.refits or any(hypothesis.evident for hypothesis in option.chosen.hypotheses):
+        return True
+    return option.chosen.gain > located.left_out * located.problem.count
 
 
 def _worsens(option: Option, judged: HeldOut) -> bool:

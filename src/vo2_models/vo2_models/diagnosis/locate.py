@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from vo2_models.diagnosis.breakdown import Breakdown, breakdown
 from vo2_models.diagnosis.limits import Limits
+from vo2_models.diagnosis.loop_shape import loop_shapes
 from vo2_models.diagnosis.misfit import NO_MISFIT
 from vo2_models.diagnosis.noise import fit_noise
 from vo2_models.diagnosis.nominal import Nominal
-from vo2_models.diagnosis.nuisance import loop_shapes
 from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.read import Reading

@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from vo2_models.diagnosis.current_reading import between_samples
+from vo2_models.diagnosis.loop_shape import LoopShape, loop_shapes
 from vo2_models.diagnosis.misfit import NO_MISFIT, Whitening
 from vo2_models.diagnosis.nominal import Nominal, Response
-from vo2_models.diagnosis.nuisance import Constant, LoopShape, constants_of, law_columns, loop_shapes
+from vo2_models.diagnosis.nuisance import Constant, constants_of, law_columns
 from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.part import Part
 from vo2_models.diagnosis.propagate_correction import through_structure

@@ -13,16 +13,14 @@ from vo2_models.diagnosis.breakdown import one_loop
 from vo2_models.diagnosis.check import SHORTEST, Finding, Unusable, check_recording
 from vo2_models.diagnosis.consistency import check_consistency
 from vo2_models.diagnosis.limits import Limits
+from vo2_models.diagnosis.loop_shape import LoopShape, loop_shapes, open_shapes
 from vo2_models.diagnosis.nominal import Nominal, Response, loop_ends
 from vo2_models.diagnosis.nuisance import (
     Constant,
     Coverage,
-    LoopShape,
     constants_of,
     coverage,
     coverage_of,
-    loop_shapes,
-    open_shapes,
     refitted_constants,
 )
 from vo2_models.diagnosis.part import Part, prepare

@@ -88,9 +88,9 @@ def search(
     fits += _with_courses(problem, candidates, fits, limits, clock)
     before = problem.residual_chi_square
     best: dict[str, Explanation] = {}
-    for fit in sorted(fits, key=lambda e: cost(e, problem)):
+    for fit in sorted(fits, key=lambda e: cost(e, problem, limits)):
         best.setdefault(fit.keys[0], replace(fit, gain=before - fit.chi_square))
-    singles = sorted(best.values(), key=lambda e: cost(e, problem))
+    singles = sorted(best.values(), key=lambda e: cost(e, problem, limits))
     options = _options(located, singles, candidates, limits, clock)
     return Search(
         tuple(candidates), tuple(scores), tuple(singles), tuple(options), hidden,
@@ -98,16 +98,20 @@ def search(
     )  # fmt: skip
 
 
-def cost(explanation: Explanation, problem: LinearisedProblem) -> float:
-    """Return chi-square, and for every parameter the logarithm of the number of samples; a course counts its splines.
+def cost(explanation: Explanation, problem: LinearisedProblem, limits: Limits) -> float:
+    """Return chi-square, and for every parameter the logarithm of the number of effective samples, in their unit.
+
+    Schwarz's criterion for the likelihood that the probabilities are made of; a course counts its splines.
 
     Parameters
     ----------
     explanation : fitted
     problem : it was fitted to
+    limits : with the samples that make an effective one
     """
     splines = knots_of(problem) * len(problem.parts) * len(explanation.courses)
-    return explanation.chi_square + (len(explanation.coordinates) + splines) * float(np.log(problem.count))
+    each = limits.temper * float(np.log(max(problem.count / limits.temper, 1.0)))
+    return explanation.chi_square + (len(explanation.coordinates) + splines) * each
 
 
 def _with_courses(

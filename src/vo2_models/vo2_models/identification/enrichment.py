@@ -2,7 +2,7 @@
 
 Any ensemble of switching domains is a Preisach operator (A.1), so what an EGPI leaves over of the loop's
 shape is, to first order, one too: a smooth density on the Preisach plane, in the coordinates
-c = (alpha + beta) / 2 and r = (alpha - beta) / 2 where domains crowd. Five groups of basis functions span
+c = (alpha + beta) / 2 and r = (alpha - beta) / 2 where domains crowd. Seven groups of basis functions span
 the correction of one channel:
 
     correction(t) = sum_b w_b P_b[T](t)                      density, cubic B-splines in (c, r)
@@ -10,30 +10,35 @@ the correction of one channel:
                   + sum_b u_b x(t) Q_b[T](t)                  mixing law: a domain counts by the fraction x it meets
                   + sum_k m_k B_k(T)                          both plateaus
                   + sum_a q_a C_a[T](t)                       scatter of a finite number of domains
+                  + sum_d l_d D_d[T](t)                       loops that do not close, where `local` has them
 
 P_b is the output of the hysterons of density b, on = 1, off = 0, from cold saturation. It is summed from
 Everett functions, whose table holds all basis functions side by side: a sample costs one table look-up per
-basis function, whatever the memory's depth. C_a are the cells of `rough`. Every column is scaled by the
-standard deviation its weight is given beforehand, so the prior of the weights is the unit normal.
+basis function, whatever the memory's depth. C_a are the cells of `rough`, D_d the elements of `local_memory`. Every
+column is scaled by the standard deviation its weight is given beforehand, so the prior of the weights is the unit normal.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vo2_models.identification.local_memory import LimitingLoops, LocalMemory
 from vo2_models.identification.rough import cell_features, cell_sum
 from vo2_models.numerics.kernel import kernel
 from vo2_models.validation import finite_array, positive_number
 
-__all__ = ["Correction", "EnrichmentBasis", "everett_table", "preisach_features"]
+__all__ = ["LOCAL", "Correction", "EnrichmentBasis", "everett_table", "preisach_features"]
 
 Floats = NDArray[np.float64]
 DEEPEST = 512
 """Turning points remembered; deeper ones are merged, which only a signal of that many nested loops notices."""
+WANDERING, LIMITING = "wandering", "limiting"
+LOCAL = (WANDERING, LIMITING)
+"""Kinds of local memory, see `local_memory`."""
 PIECE = 128
 """Samples whose columns are written together."""
 
@@ -163,7 +168,9 @@ class EnrichmentBasis:
     cell_k : size of a cell [K]
     grid_k : spacing of the Everett table [K]
     typical_centre, typical_half_width : mean and standard deviation [degC, K] of c and r of a typical device,
-        which make the fraction x of the mixing term
+        which make the fraction x of the mixing term, and place the elements of local memory
+    local : kinds of local memory that the loops may have, of `LOCAL`; a film of independent domains has none
+    local_share : prior standard deviation of an element's weight, as a share of the channel's range
     """
 
     centre_degc: tuple[float, float] = (46.0, 76.0)
@@ -181,6 +188,8 @@ class EnrichmentBasis:
     grid_k: float = 0.5
     typical_centre: tuple[float, float] = (58.5, 3.6)
     typical_half_width: tuple[float, float] = (3.5, 1.0)
+    local: tuple[str, ...] = ()
+    local_share: float = 0.05
 
     def __post_init__(self) -> None:
         for name in ("half_width_k", "centre_step_k", "half_width_step_k", "temperature_step_k", "grid_k"):
@@ -200,7 +209,7 @@ class EnrichmentBasis:
     @property
     def columns(self) -> int:
         """Number of columns of `features`."""
-        return self.groups["scatter"].stop
+        return max(columns.stop for columns in self.groups.values())
 
     @property
     def groups(self) -> dict[str, slice]:
@@ -209,12 +218,22 @@ class EnrichmentBasis:
         sizes = {
             "density": fine, "contrast": coarse, "mixing": coarse, "memoryless": memoryless,
             "scatter": self._cells()[1].size,
+            **{kind: self._elements(kind).size for kind in self.local},
         }  # fmt: skip
         ends = np.cumsum(list(sizes.values()))
         return {
             name: slice(int(end) - size, int(end))
             for (name, size), end in zip(sizes.items(), ends, strict=True)
         }
+
+    def _elements(self, kind: str) -> LocalMemory | LimitingLoops:
+        """Elements of local memory: over the centres, half widths and spreads that films of this kind have."""
+        (mean, spread), (half, _) = self.typical_centre, self.typical_half_width
+        centres = tuple((mean + spread * np.linspace(-2.4, 2.4, 7)).tolist())
+        if kind == LIMITING:
+            return LimitingLoops(centres, tuple(share * half for share in (0.5, 1.0, 1.5)), (0.35 * spread,))
+        half_widths = tuple(share * half for share in (0.3, 0.8, 1.2, 1.7))
+        return LocalMemory(centres, half_widths, (0.2 * spread, 0.45 * spread))
 
     def _cells(self) -> tuple[tuple[int, int], NDArray[np.int64], Floats, float]:
         """Shape of the grid of cells, the ones in use, the expected share of each, and the lowest alpha."""
@@ -253,7 +272,7 @@ class EnrichmentBasis:
         (n, columns), in the channel's unit
         """
         path = finite_array(temperature, "temperature")
-        walls, table = _tables(self)
+        walls, table = _tables(replace(self, domains=1.0, local=()))
         raw = preisach_features(path, walls, table)
         fine, coarse, _ = self._sizes()
         p, q, x = raw[:, :fine], raw[:, fine : fine + coarse], raw[:, -1:]
@@ -264,6 +283,7 @@ class EnrichmentBasis:
         plateau = cubic_spline(self._memoryless_knots(), path)
         spread = np.sqrt(share / self.domains)
         groups = self.groups
+        local = {kind: self._elements(kind).features(path) for kind in self.local}
         out = np.empty((path.size, self.columns))
         # piece by piece: a recording's columns are larger than the processor's cache
         for first in range(0, path.size, PIECE):
@@ -274,14 +294,16 @@ class EnrichmentBasis:
             np.multiply(self.mixing_share * x[rows], q[rows], out=piece[:, groups["mixing"]])
             np.multiply(self.memoryless_share, plateau[rows], out=piece[:, groups["memoryless"]])
             np.multiply(cells[rows], spread, out=piece[:, groups["scatter"]])
+            for kind, fractions in local.items():
+                np.multiply(self.local_share, fractions[rows], out=piece[:, groups[kind]])
             piece *= span
         return out
 
     def fold(self, weights: Floats, *, span: float) -> Correction:
         """Return `T -> features(T, span=span) @ weights` at the cost of a few basis functions."""
         w = finite_array(weights, "weights", size=self.columns)
-        walls, table = _tables(self)
-        density, contrast, mixing, memoryless, scatter = (w[columns] for columns in self.groups.values())
+        walls, table = _tables(replace(self, domains=1.0, local=()))
+        density, contrast, mixing, memoryless, scatter, *local = (w[own] for own in self.groups.values())
         fine, coarse, _ = self._sizes()
         crowd = table[:, :, fine : fine + coarse]
         folded = [
@@ -303,6 +325,7 @@ class EnrichmentBasis:
             plateau=np.stack([places, plateau]),
             cells=cells,
             lowest=lowest,
+            local=tuple(span * self.local_share * own for own in local),
         )
 
 
@@ -316,6 +339,7 @@ class Correction:
     plateau: Floats
     cells: Floats
     lowest: float
+    local: tuple[Floats, ...]
 
     def __call__(self, temperature: ArrayLike) -> Floats:
         """Return the correction (n,) along the temperature (n,) [degC] from a cold rest, in the channel's unit."""
@@ -325,7 +349,10 @@ class Correction:
         warmth = (path - 0.5 * (low + high)) / (0.5 * (high - low))
         plateau = np.interp(path, *self.plateau)
         scatter = cell_sum(path, low=self.lowest, step=self.basis.cell_k, weights=self.cells)
-        return density + warmth * contrast + x * mixing + plateau + scatter
+        total = density + warmth * contrast + x * mixing + plateau + scatter
+        for kind, weights in zip(self.basis.local, self.local, strict=True):
+            total += self.basis._elements(kind).total(path, weights)
+        return total
 
 
 @lru_cache(maxsize=4)

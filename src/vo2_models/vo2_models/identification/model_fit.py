@@ -18,7 +18,7 @@ from vo2_models.identification.command_delay import command_delay
 from vo2_models.identification.completion import completed
 from vo2_models.identification.device_fit import PLAYS, FitResult, fit_device
 from vo2_models.identification.digest import LAGS, digest_of
-from vo2_models.identification.enrichment import EnrichmentBasis
+from vo2_models.identification.enrichment import LOCAL, EnrichmentBasis
 from vo2_models.identification.grid import on_grid
 from vo2_models.identification.loop_law import PLAYS as PLAYS_LAW
 from vo2_models.identification.loop_law import with_law
@@ -164,7 +164,7 @@ def _noise(path: Floats, residual: Floats, result: FitResult, channel: str) -> t
     sensor = result.model.sensors.get(channel)
     level = sensor.noise / (np.log(10.0) if channel == RESISTANCE else 1.0) if sensor else 0.0
     if channel != STAGE_TEMPERATURE and level > 0.0:
-        features = basis_of(device).features(path, span=span_of(device)[channel])
+        features = replace(basis_of(device), local=LOCAL).features(path, span=span_of(device)[channel])
         used = features[good] / level
         gram = used.T @ used
         gram[np.diag_indices_from(gram)] += 1.0
