@@ -30,7 +30,7 @@ from vo2_models.diagnosis.read import Reading
 from vo2_models.diagnosis.result import NextExperiment
 from vo2_models.diagnosis.search import Search
 
-__all__ = ["Decision", "decide"]
+__all__ = ["Decision", "decide", "without_a_name"]
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -112,6 +112,23 @@ def decide(located: Located, found: Search, reading: Reading, limits: Limits, cl
     return _unnamed(located, found, verdict, folds, limits, clock, first_use=reading.first_use)
 
 
+def without_a_name(
+    decision: Decision, located: Located, found: Search, reading: Reading, limits: Limits, clock: Clock
+) -> Decision:
+    """Return the answer that takes the place of one whose name is less likely than something else.
+
+    Parameters
+    ----------
+    decision : with the name
+    located, found, reading, limits, clock : as `decide` took them
+    """
+    folds = recording_folds(located.problem, reading.calibrations) or block_folds(located.problem)
+    judged = held_out(located.problem, None, folds=folds)
+    shown = decision.adequacy.share if decision.adequacy else 0.0
+    verdict = _Verdict(None, judged, decision.rivals, decision.remaining_excess, decision.adequacy, shown)
+    return _unnamed(located, found, verdict, folds, limits, clock, first_use=reading.first_use)
+
+
 def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limits, clock: Clock) -> _Verdict:
     """The first admissible option, with its held-out quality."""
     problem = located.problem
@@ -124,7 +141,8 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
         left_out = np.inf if problem.refits else located.left_out
         adequacy = adequacy_of(option, problem, left_out, limits)
         shown = max(shown, adequacy.share, judged.share)
-        admissible = _is_admissible(option, judged, adequacy, limits) and _beyond_misfit(option, located)
+        admissible = _is_admissible(option, judged, adequacy, limits)
+        admissible = admissible and _beyond_misfit(option, adequacy, located, limits)
         if located.own_misfit:
             admissible = admissible and _alone(option, found.singles, limits)
         rivals, remaining = option.rivals, option.remaining
@@ -246,21 +264,31 @@ def _is_admissible(option: Option, judged: HeldOut, adequacy: Adequacy, limits: 
     )
 
 
-def _beyond_misfit(option: Option, located: Located) -> bool:
-    """Whether an explanation gains more than all that the device's own misfit is expected to leave.
+def _beyond_misfit(option: Option, adequacy: Adequacy, located: Located, limits: Limits) -> bool:
+    """Whether an explanation gains more than all that the device's own misfit is expected to leave, or explains all there is.
 
-    What the values themselves show needs no comparison; of a device that is fitted anew no misfit is known.
+    Of a device that is fitted anew no misfit is known: there it is what unchanged devices leave in the channels that the
+    explanation reaches. What the values themselves show needs no comparison.
     """
-    if located.problem.refits or any(hypothesis.evident for hypothesis in option.chosen.hypotheses):
+    problem, gain = located.problem, option.chosen.gain
+    if any(hypothesis.evident for hypothesis in option.chosen.hypotheses):
         return True
-    return option.chosen.gain > located.left_out * located.problem.count
+    if problem.refits:
+        rows = [row.where for row in problem.rows if row.channel in _reached(option)]
+        return gain > limits.slack * sum(np.count_nonzero(problem.weight[where]) for where in rows)
+    all_of_it = located.total_excess > limits.slack and adequacy.share >= limits.thorough
+    return all_of_it or gain > located.left_out * problem.count
+
+
+def _reached(option: Option) -> set[str]:
+    """Channels in which an explanation does more than nothing."""
+    acting = trace(option.final)
+    return {row.channel for row in option.final.rows if float(np.sum(acting[row.where] ** 2)) > 1.0}
 
 
 def _worsens(option: Option, judged: HeldOut) -> bool:
     """Whether a channel that an explanation reaches is predicted worse with it than without, by more than its noise."""
-    acting = trace(option.final)
-    reached = {row.channel for row in option.final.rows if float(np.sum(acting[row.where] ** 2)) > 1.0}
-    return any(judged.after[c] > judged.before[c] + judged.floor[c] for c in reached)
+    return any(judged.after[c] > judged.before[c] + judged.floor[c] for c in _reached(option))
 
 
 def _stands_for_constants(option: Option, singles: Sequence[Explanation], limits: Limits) -> bool:

@@ -22,6 +22,8 @@ from vo2_models.recording import HEATER_CURRENT
 __all__ = ["Located", "locate"]
 
 Floats = NDArray[np.float64]
+SETTLED = 0.02
+"""Relative drop of chi-square with which moving the constants further ends."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,7 @@ def _over_misfit(problem: LinearisedProblem) -> dict[str, float]:
 
 
 def _relinearise_constants(
-    nominal: Nominal, problem: LinearisedProblem, clock: Clock, *, rounds: int = 3
+    nominal: Nominal, problem: LinearisedProblem, clock: Clock, *, rounds: int = 16
 ) -> LinearisedProblem:
     """Move to where the nuisance model's own refit puts the thermal parameters, until they stay: it is not linear in them."""
     for _ in range(rounds):
@@ -136,9 +138,12 @@ def _relinearise_constants(
             refits=problem.refits,
             say=clock.say,
         )
-        if moved.residual_chi_square >= problem.residual_chi_square - 10.0:
+        drop = problem.residual_chi_square - moved.residual_chi_square
+        if drop <= 10.0:
             break
         problem = moved
+        if drop < SETTLED * moved.residual_chi_square:
+            break
     return problem
 
 

@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
-from vo2_models.diagnosis.decide import decide
+from vo2_models.diagnosis.decide import decide, without_a_name
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import locate
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.progress import Clock, Progress
 from vo2_models.diagnosis.read import read
-from vo2_models.diagnosis.report import assemble_diagnosis
+from vo2_models.diagnosis.report import assemble_diagnosis, unlikely
 from vo2_models.diagnosis.result import Diagnosis
 from vo2_models.diagnosis.search import search
 from vo2_models.diagnosis.stages import Study
@@ -90,4 +91,7 @@ def study(
         located = locate(reading, limits, clock)
         found = search(located, limits, clock, one_loop=reading.one_loop, first_use=reading.first_use)
         decision = decide(located, found, reading, limits, clock)
-    return Study(reading, located, found, decision, limits, time.perf_counter() - began)
+        answer = Study(reading, located, found, decision, limits, 0.0)
+        if unlikely(answer):
+            decision = without_a_name(decision, located, found, reading, limits, clock)
+    return replace(answer, decision=decision, seconds=time.perf_counter() - began)

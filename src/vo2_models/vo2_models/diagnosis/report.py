@@ -27,7 +27,7 @@ from vo2_models.diagnosis.stages import Study
 from vo2_models.effects.record import CHOICE
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
-__all__ = ["MODEL_DISCREPANCY", "assemble_diagnosis", "probabilities"]
+__all__ = ["MODEL_DISCREPANCY", "assemble_diagnosis", "probabilities", "unlikely"]
 
 Floats = NDArray[np.float64]
 MODEL_DISCREPANCY = {
@@ -206,6 +206,19 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
         else "",
     )
     return sorted([*found[:11], unknown], key=lambda c: -c.probability), by_key
+
+
+def unlikely(study: Study) -> bool:
+    """Whether something else than what is named is more likely than a name.
+
+    Parameters
+    ----------
+    study : what the stages found
+    """
+    if study.decision.chosen is None:
+        return False
+    probability = _candidates(study)[1]
+    return min(probability[key] for key in study.decision.chosen.keys) < _something_else(study)
 
 
 def _weights(study: Study, everyone: Sequence[Explanation], chi: Sequence[float]) -> Floats:

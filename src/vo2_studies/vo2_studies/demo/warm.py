@@ -14,8 +14,8 @@ from vo2_control.pid import pid_controller
 from vo2_models.device import truth
 from vo2_models.device.description import preset
 from vo2_models.diagnosis.breakdown import turning_points
-from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.loop_shape import loop_shapes
+from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.identification.excitation import damped_oscillation
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.recording import RESISTANCE

@@ -93,7 +93,9 @@ def draw(rng: np.random.Generator, film: Statistics, misfit: float) -> Film:
         up = mean + 0.35 * spread * (places - np.sum(weight * places))
         inner = np.sqrt(max(spread**2 - np.sum(weight * (up - mean) ** 2), 0.3 * spread**2))
         width = film.width_mean * (1 + misfit * rng.standard_normal(VOLUMES))
-        width = np.maximum(width + 0.3 * film.width_sd * np.clip(rng.standard_normal(VOLUMES), -1.5, 1.5), 1.0)
+        width = np.maximum(
+            width + 0.3 * film.width_sd * np.clip(rng.standard_normal(VOLUMES), -1.5, 1.5), 1.0
+        )
         scatter = np.clip(1 + misfit * rng.standard_normal(VOLUMES), 0.5, 1.5)
         sigma = rng.uniform(0.5, 0.9, VOLUMES)
         rate = rng.uniform(0.6, 0.95, VOLUMES) / (width * sigma)
