@@ -182,7 +182,7 @@ def _refine_noise_model(
     if noise == dict(nominal.noise) and parts is problem.parts:
         return nominal, problem
     nominal = replace(nominal, noise=noise)
-    posterior = reading.shapes if reading.first_use else loop_shapes(nominal)
+    posterior = reading.shapes if reading.first_use else loop_shapes(nominal, problem.shapes)
     # what a weight stands for is in the noise already where that was found in the recording
     shapes = {
         channel: shape

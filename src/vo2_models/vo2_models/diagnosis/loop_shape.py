@@ -59,6 +59,7 @@ class LoopShape:
     rough : misfit that remains at single temperatures, in the channel's unit
     misfit : misfit that goes on from one temperature to the next; none where there is a rough one
     left_out : excess power, in noise powers, of the stretch of the calibration that the others predict worst
+    kind : of the misfit, in units of the noise
     by_lag : time constant or dead time -> (m,) change of the mean by it [1/s]: the calibration fixes loop and lag together
     """
 
@@ -70,6 +71,7 @@ class LoopShape:
     by_lag: Mapping[str, Floats] = field(default_factory=dict)
     misfit: Misfit = NO_MISFIT
     left_out: float = 0.0
+    kind: _Kind = _Kind()
 
     def fold(self, moved: Mapping[str, float] | None = None) -> Correction:
         """The mean correction, as a function of the temperature, for lags that are longer than the model's by `moved` [s]."""
@@ -101,7 +103,7 @@ class LoopShape:
         return np.asarray((temperature > low) & (temperature < high))
 
 
-def loop_shapes(nominal: Nominal) -> dict[str, LoopShape]:
+def loop_shapes(nominal: Nominal, chosen: Mapping[str, LoopShape] | None = None) -> dict[str, LoopShape]:
     """Return the posterior of the loop shape of resistance and deflection, from the digest of the calibration.
 
     Number of domains, kind of misfit, and whether the loops have local memory, are those of highest marginal likelihood.
@@ -111,8 +113,9 @@ def loop_shapes(nominal: Nominal) -> dict[str, LoopShape]:
     Parameters
     ----------
     nominal : fitted simulation
+    chosen : with another noise, whose basis and kind of misfit stay
     """
-    return _shapes(nominal, lambda channel: _loop_shape(nominal, channel))
+    return _shapes(nominal, lambda channel: _loop_shape(nominal, channel, (chosen or {}).get(channel)))
 
 
 def open_shapes(nominal: Nominal) -> dict[str, LoopShape]:
@@ -140,13 +143,15 @@ def _prior_shape(nominal: Nominal, channel: str, basis: EnrichmentBasis) -> Loop
     return LoopShape(basis, span, np.zeros(basis.columns), tight * np.eye(basis.columns), 0.0)
 
 
-def _loop_shape(nominal: Nominal, channel: str) -> LoopShape:
+def _loop_shape(nominal: Nominal, channel: str, chosen: LoopShape | None) -> LoopShape:
     """Posterior of one channel, its hyperparameters one after the other by their marginal likelihood."""
     basis, digest = basis_of(nominal.device), nominal.digest
     if digest is None:
         return _prior_shape(nominal, channel, basis)
     wide = replace(basis, local=LOCAL)
     evidence = _Evidence(digest, nominal.noise[channel], channel, wide, nominal.span[channel])
+    if chosen is not None:
+        return evidence.shape(evidence.of(chosen.kind, chosen.basis))
     fit = evidence.of(KINDS[0], basis)
     memories = [kinds for count in range(3) for kinds in combinations(LOCAL, count)]
     # one after the other, and once more with what the others have become

@@ -455,8 +455,6 @@ def _loop_columns(
         whiten = [w for row, w in zip(rows, whitening, strict=True) if row.channel == channel]
         paths = tuple(responses[row.part].temperature for row in own)
         before, shape = known.get(channel), shapes[channel]
-        if before is not None and before.directions.shape[0] != shape.basis.columns:
-            before = None  # with another noise the calibration has asked for another basis
         if before is not None and before.fits(paths):
             return before
         features = [shape.basis.features(path, span=shape.span) for path in paths]
