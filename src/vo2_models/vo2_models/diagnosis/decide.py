@@ -125,7 +125,7 @@ def without_a_name(
     folds = recording_folds(located.problem, reading.calibrations) or block_folds(located.problem)
     judged = held_out(located.problem, None, folds=folds)
     shown = decision.adequacy.share if decision.adequacy else 0.0
-    verdict = _Verdict(None, judged, decision.rivals, decision.remaining_excess, decision.adequacy, shown)
+    verdict = _Verdict(None, judged, found.singles, decision.remaining_excess, decision.adequacy, shown)
     return _unnamed(located, found, verdict, folds, limits, clock, first_use=reading.first_use)
 
 

@@ -52,7 +52,9 @@ class Limits:
         "standard deviation of a switching time, as a share of how long it was on: beyond, no edge is seen",
     )
     slack: float = _limit(
-        0.12, "residual power beyond the noise, in noise powers, of unchanged devices of the own simulator"
+        0.12,
+        "residual power beyond the noise, in noise powers, of unchanged devices of the own simulator; a name in first use gains "
+        "more in the channels that it reaches",
     )
     complete: float = _limit(
         0.95,
@@ -114,7 +116,9 @@ class Limits:
         "and this share of the excess of the channels where it acts: a model discrepancy of 7 % leaves as much",
     )
     thorough: float = _limit(
-        0.85, "from this share on the two limits around it do not matter: no wrong equation leaves so little"
+        0.85,
+        "from this share on the two limits around it do not matter, nor does it how much the device's own misfit may be: no "
+        "wrong equation leaves so little",
     )
     second_cosine: float = _limit(
         0.25,
