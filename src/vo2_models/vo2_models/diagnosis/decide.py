@@ -267,15 +267,16 @@ def _is_admissible(option: Option, judged: HeldOut, adequacy: Adequacy, limits: 
 def _beyond_misfit(option: Option, adequacy: Adequacy, located: Located, limits: Limits) -> bool:
     """Whether an explanation gains more than all that the device's own misfit is expected to leave, or explains all there is.
 
-    Of a device that is fitted anew no misfit is known: there it is what unchanged devices leave in the channels that the
-    explanation reaches. What the values themselves show needs no comparison.
+    Of a device that is fitted anew no misfit is known: there two effects at once must gain more than unchanged devices
+    leave in the channels that they reach. What the values themselves show needs no comparison.
     """
     problem, gain = located.problem, option.chosen.gain
     if any(hypothesis.evident for hypothesis in option.chosen.hypotheses):
         return True
     if problem.refits:
         rows = [row.where for row in problem.rows if row.channel in _reached(option)]
-        return gain > limits.slack * sum(np.count_nonzero(problem.weight[where]) for where in rows)
+        least = limits.slack * sum(np.count_nonzero(problem.weight[where]) for where in rows)
+        return len(option.chosen.keys) == 1 or gain > least
     all_of_it = located.total_excess > limits.slack and adequacy.share >= limits.thorough
     return all_of_it or gain > located.left_out * problem.count
 

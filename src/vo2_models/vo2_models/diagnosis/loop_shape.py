@@ -71,7 +71,7 @@ class LoopShape:
     by_lag: Mapping[str, Floats] = field(default_factory=dict)
     misfit: Misfit = NO_MISFIT
     left_out: float = 0.0
-    kind: _Kind = _Kind()
+    kind: _Kind = KINDS[0]
 
     def fold(self, moved: Mapping[str, float] | None = None) -> Correction:
         """The mean correction, as a function of the temperature, for lags that are longer than the model's by `moved` [s]."""
@@ -279,9 +279,8 @@ class _Evidence:
     def _wandering(self, kind: _Kind) -> tuple[Floats, float]:
         """The same for a misfit that goes on from block to block; beside it the noise's colour over blocks is nothing."""
         way = np.abs(np.diff(self._middle, prepend=self._middle[:1])) / kind.travel
-        return innovations(
-            self._every, kind.wandering * self.noise.level * self._inside, way, self._covariance[0]
-        )
+        size = np.where(self._inside, kind.wandering * self.noise.level, 0.0)
+        return innovations(self._every, size, way, self._covariance[0])
 
 
 def _left_out(columns: Floats, target: Floats, count: Floats) -> float:
