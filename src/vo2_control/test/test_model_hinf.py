@@ -12,27 +12,17 @@ from vo2_control.model_tuning import loop_slopes, thermal_lag
 from vo2_control.sampled_loop import loop_margins
 from vo2_models.device import truth
 from vo2_models.device.model import DeviceModel
-from vo2_models.hysteresis.play_bank import PlayBank
 
 PERIODS = {"integrated": 1e-3, "peltier": 0.125}
-
-
-def crude_model(device):
-    """One tanh loop with the preset's published transition."""
-    hot, spread, extent = (62.0, 3.5, 57e-6) if device == "integrated" else (64.0, 2.5, 70e-6)
-    slope = 0.8 / spread
-    bank = PlayBank(
-        weights=[extent / 2], radii=[0.0], rising_slopes=[slope], rising_offsets=[-slope * hot],
-        falling_slopes=[slope], falling_offsets=[-slope * (hot - 7.0)], polynomial=[extent / 2],
-    )  # fmt: skip
-    return DeviceModel(device, deflection=bank)
 
 
 @pytest.mark.parametrize(
     ("device", "limits", "hold", "allowed_m"),
     [("integrated", (0.0, 0.01278), 600, 0.6e-6), ("peltier", (-1.2, 1.2), 2400, 1.8e-6)],
 )
-def test_the_law_has_integral_action_holds_the_margins_and_tracks_the_device(device, limits, hold, allowed_m):
+def test_the_law_has_integral_action_holds_the_margins_and_tracks_the_device(
+    crude_model, device, limits, hold, allowed_m
+):
     model, period = crude_model(device), PERIODS[device]
     robust = robust_from_model(model.to_parameters(), period)
     assert robust.synthesis.robust_stability < 1
@@ -54,7 +44,7 @@ def test_the_law_has_integral_action_holds_the_margins_and_tracks_the_device(dev
     assert settled.mean() < allowed_m
 
 
-def test_a_model_is_used_unless_a_design_is_given():
+def test_a_model_is_used_unless_a_design_is_given(crude_model):
     parameters = crude_model("peltier").to_parameters()
     where = {"preset": "peltier", "sample_period_s": 0.125}
     laws = [
@@ -68,7 +58,7 @@ def test_a_model_is_used_unless_a_design_is_given():
     assert radius[0] < 0.9999 < radius[1] <= 1.0
 
 
-def test_a_model_without_dynamics_is_refused_in_one_line():
+def test_a_model_without_dynamics_is_refused_in_one_line(crude_model):
     for scalars, found in (({"thermal.time_constant": 1e-6}, "1e-06"),):
         model = replace(crude_model("peltier"), scalars={**scalars, "driver.dead_time": 0.0})
         with pytest.raises(ValueError, match=r"model\.thermal\.time_constant: found") as caught:

@@ -10,21 +10,9 @@ from vo2_control.model_tuning import loop_slopes, thermal_lag, tuned_from_model
 from vo2_control.pid import pid_controller
 from vo2_models.device import truth
 from vo2_models.device.model import DeviceModel
-from vo2_models.hysteresis.play_bank import PlayBank
 
 
-def crude_model(device):
-    """One tanh loop with the preset's published transition: what a first fit would give, not the device itself."""
-    hot, spread, extent = (62.0, 3.5, 57e-6) if device == "integrated" else (64.0, 2.5, 70e-6)
-    slope = 0.8 / spread
-    bank = PlayBank(
-        weights=[extent / 2], radii=[0.0], rising_slopes=[slope], rising_offsets=[-slope * hot],
-        falling_slopes=[slope], falling_offsets=[-slope * (hot - 7.0)], polynomial=[extent / 2],
-    )  # fmt: skip
-    return DeviceModel(device, deflection=bank)
-
-
-def test_slopes_of_a_tanh_loop_are_the_analytic_ones():
+def test_slopes_of_a_tanh_loop_are_the_analytic_ones(crude_model):
     slopes = loop_slopes(crude_model("peltier").simulation)
     # steepest: weight * slope per kelvin, times -50 K/A
     steepest = 35e-6 * 0.8 / 2.5 * -50
@@ -37,7 +25,9 @@ def test_slopes_of_a_tanh_loop_are_the_analytic_ones():
     # the slow device still hunts across its loop's width after 150 s
     [("integrated", 1e-3, (0.0, 0.01278), 400, 0.4e-6), ("peltier", 0.125, (-1.2, 1.2), 1200, 2e-6)],
 )
-def test_gains_from_a_crude_model_track_steps_on_the_device(device, period, limits, hold, allowed_m):
+def test_gains_from_a_crude_model_track_steps_on_the_device(
+    crude_model, device, period, limits, hold, allowed_m
+):
     tuned = tuned_from_model(crude_model(device).to_parameters(), period)
     assert tuned.worst.stable and tuned.worst.sensitivity_peak <= 1.61
     controller = pid_controller(tuned.gains, CurrentLimits(*limits), period)
@@ -47,7 +37,7 @@ def test_gains_from_a_crude_model_track_steps_on_the_device(device, period, limi
     assert settled.mean() < allowed_m
 
 
-def test_flipped_and_incomplete_models_are_refused():
+def test_flipped_and_incomplete_models_are_refused(crude_model):
     model = crude_model("peltier")
     flipped = replace(model, scalars={"thermal.linear_gain": 50.0, "thermal.ambient": 40.0})
     with pytest.raises(ValueError, match=r"sign-flipped|prevailing sign|does not move"):

@@ -127,6 +127,29 @@ def test_bound_covers_the_share_it_promises_on_fresh_errors():
     assert bound[-1] > 2 * bound[0]
 
 
+def test_bound_is_that_of_a_whole_pass():
+    rng = np.random.default_rng(2)
+    knots = np.linspace(4, 5.4, 12)
+    half = knots[1] - knots[0]
+
+    def passes(n):
+        there = np.linspace(4, 5.4, 120)
+        x = np.concatenate([there if k % 2 else there[::-1] for k in range(n)])
+        return x, rng.normal(size=x.size)
+
+    bound = fit_bound(*passes(400), knots)
+    x, error = (each.reshape(400, -1) for each in passes(400))
+    beyond = [
+        np.any((np.abs(x - place) <= half) & (np.abs(error) > limit), axis=1)
+        for place, limit in zip(knots[1:-1], bound[1:-1], strict=True)
+    ]
+    assert np.mean(beyond) == pytest.approx(1 - COVERAGE, abs=0.02)
+    x, error = passes(1)
+    np.testing.assert_array_equal(
+        fit_bound(x, error, knots), [np.max(np.abs(error[np.abs(x - place) <= half])) for place in knots]
+    )
+
+
 def test_bound_is_large_where_the_laws_are_not_those_of_the_device():
     """Laws that belong to another device must not come with a small bound."""
     current = np.concatenate([np.linspace(3.7e-3, 8.4e-3, 800), np.linspace(8.4e-3, 3.7e-3, 800)])

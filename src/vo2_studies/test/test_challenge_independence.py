@@ -17,8 +17,6 @@ ALLOWED = {
     "vo2_models.page.figures",
     "vo2_models.page.page",
 }
-# a measured recording is not simulated: only the names of its device file's roles are looked up
-ONLY_THERE = {"recordings/draw.py": {"vo2_models.device.description"}}
 OWN = "vo2_studies.challenge"
 
 
@@ -44,7 +42,6 @@ def test_no_module_of_the_simulation_is_imported():
     files = sorted(FOLDER.rglob("*.py"))
     assert len(files) > 15
     for file in files:
-        allowed = ALLOWED | ONLY_THERE.get(file.relative_to(FOLDER).as_posix(), set())
         project = {
             name
             for name in imported(ast.parse(file.read_text("utf-8")))
@@ -53,7 +50,7 @@ def test_no_module_of_the_simulation_is_imported():
         foreign = {
             name
             for name in project
-            if name not in allowed and not (name == OWN or name.startswith(OWN + "."))
+            if name not in ALLOWED and not (name == OWN or name.startswith(OWN + "."))
         }
         assert not foreign, f"{file.name} imports {', '.join(sorted(foreign))}"
 

@@ -91,7 +91,11 @@ def test_cases_of_the_measured_sets(tmp_path):
         assert case.answer["effects"][0]["ratio"] > 0
         (measured,) = (one for one in settings.sets if one.name == plan.device)
         role = case.answer["effects"][0]["channels"][0]
-        channel = described(measured.document, plan.device).names[role]
+        names = described(measured.document, plan.device).names
+        assert {name: of for of, name in measured.roles.items()} == names, (
+            "as who reads the device file calls them"
+        )
+        channel = names[role]
         assert not np.array_equal(case.test.measurement[channel], measured.others[plan.condition][channel])
         assert case.shared == plan.device and len(case.test.measurement) <= MOST
         assert write_case(case, Paths(tmp_path)) == "device.yaml"

@@ -21,31 +21,37 @@ __all__ = ["COVERAGE", "bound_table", "fit_bound", "table_at"]
 Floats = NDArray[np.float64]
 
 COVERAGE = 0.95
-"""Share of the identification errors that lies within the bound."""
+"""Share of the passes by a resistance whose errors lie within the bound, on paths like that of the identification."""
 
 
 def fit_bound(log_resistance: Floats, error: Floats, knots: Floats) -> Floats:
-    """Return the `COVERAGE` quantile of |error| around each knot.
+    """Return what the errors of a pass by each knot stay below with the probability `COVERAGE`.
+
+    Neighbouring samples err together: what is independent is one pass by a resistance, on one branch. The bound is the
+    conformal quantile of the passes' largest errors, of `n` passes the `COVERAGE` `(n + 1)`-th smallest (Vovk, Gammerman,
+    Shafer, Algorithmic Learning in a Random World, 2005): the next pass stays below it with that probability, and with
+    `n / (n + 1)` where there are so few that it is the largest of all.
 
     Parameters
     ----------
-    log_resistance, error : (n,) log10 of the resistance in ohm, and estimation error [m]
+    log_resistance, error : (n,) log10 of the resistance in ohm, and estimation error [m], in the order of recording
     knots : (m,) increasing places
 
     Returns
     -------
-    (m,) [m]; a knot with too few samples around it for a quantile takes the quantile of all samples.
+    (m,) [m]; a knot that nothing passes takes the largest bound of the others.
     """
     magnitude = np.abs(error)
-    overall = float(np.quantile(magnitude, COVERAGE))
-    half = np.gradient(knots) if knots.size > 1 else np.ones(1)
-    needed = round(5 / (1 - COVERAGE))
-    bound = np.full(knots.size, overall)
+    half = np.gradient(knots) if knots.size > 1 else np.full(1, np.inf)
+    bound = np.full(knots.size, np.nan)
     for k, place in enumerate(knots):
-        near = magnitude[np.abs(log_resistance - place) <= half[k]]
-        if near.size >= needed:
-            bound[k] = np.quantile(near, COVERAGE)
-    return bound
+        near = np.abs(log_resistance - place) <= half[k]
+        begins = np.flatnonzero(np.diff(near, prepend=False) & near)
+        if begins.size:
+            largest = np.sort(np.maximum.reduceat(np.where(near, magnitude, 0.0), begins))
+            rank = int(np.ceil(COVERAGE * (largest.size + 1)))
+            bound[k] = largest[min(rank, largest.size) - 1]
+    return np.where(np.isnan(bound), np.nanmax(bound), bound)
 
 
 def bound_table(kind: str, parameters: Mapping[str, Value]) -> Floats:

@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.hysteresis.preisach import PreisachOperator
 from vo2_models.hysteresis.preisach.grid import cell_areas, cell_count, pack
-from vo2_models.hysteresis.preisach.nnls import nonnegative_least_squares
 from vo2_models.hysteresis.preisach.signed_area import signed_area_matrix
 from vo2_models.parameters import Value
 from vo2_models.self_sensing.bounds import bound_table, table_at
@@ -97,6 +96,9 @@ class DirectPreisachSelfSensing(SelfSensing):
         ------
         ValueError : a resistance that does not change.
         """
+        # loads scipy's linear algebra, which a node does not need
+        from vo2_models.hysteresis.preisach.nnls import nonnegative_least_squares
+
         x = np.log10(finite_array(resistance, "resistance"))
         y = finite_array(deflection, "deflection", size=x.size)
         domain = domain_of(x)

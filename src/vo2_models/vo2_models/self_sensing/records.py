@@ -27,7 +27,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         _array(
             f"bounds.{kind}",
             "m",
-            f"error bound of the {kind} scheme: 95 % of the identification errors were smaller",
+            f"error bound of the {kind} scheme: in 95 % of the passes by this resistance the errors stay below",
         )
         for kind in KINDS
     ),

@@ -35,8 +35,8 @@ class Estimate(NamedTuple):
     deflection : tip deflection [m]
     temperature : film temperature [degC]; NaN for a scheme that does not infer it
     surrogate : temperature surrogate [A], the current that holds this temperature; NaN likewise
-    bound : error bound of the deflection [m]: 95 % of the errors in the identification recording at this
-        resistance were smaller
+    bound : error bound of the deflection [m]: in 95 % of the passes by this resistance, as far as those of the
+        identification recording tell, all errors stay below
     """
 
     deflection: float | Floats

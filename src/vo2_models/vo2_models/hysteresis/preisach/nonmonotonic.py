@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from vo2_models.hysteresis.law import Inverse, Law, Saturation
 from vo2_models.hysteresis.preisach.grid import cell_count, checked_walls
 from vo2_models.hysteresis.preisach.kernels import move_preisach, sweep_preisach
-from vo2_models.hysteresis.preisach.nnls import RankDeficientError, nonnegative_least_squares
 from vo2_models.hysteresis.preisach.operator import PreisachOperator
 from vo2_models.hysteresis.preisach.signed_area import signed_area_matrix
 from vo2_models.numerics.kernel import kernel
@@ -196,6 +195,9 @@ def fit_nonmonotonic(
     ------
     ValueError : not finite, shapes differ, or an input that cannot tell the unknowns apart.
     """
+    # scipy's linear algebra, without which a node starts an eighth of a second earlier
+    from vo2_models.hysteresis.preisach.nnls import RankDeficientError, nonnegative_least_squares
+
     grid = checked_walls(walls)
     t = finite_array(temperature, "temperature")
     u = finite_array(output, "output", size=t.size)

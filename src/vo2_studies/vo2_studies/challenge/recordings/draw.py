@@ -7,7 +7,6 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from vo2_models.device.description import described
 from vo2_models.recording import Recording
 
 from vo2_studies.challenge.draw import Case, Recorded
@@ -105,8 +104,7 @@ def _conceal(measured: MeasuredSet, test: Recording, change: Change, ratio: floa
 
     unit = measured.spread * float(scale)
     after, strength = changed(change, test.time_s, values, ratio * unit, moved)
-    # a diagnosis calls channels by their roles
-    roles = {name: role for role, name in described(measured.document, measured.name).names.items()}
+    roles = measured.roles
     role = roles[channel]
     family = f"{change.family}:{role}" if change.family in ("sensor", "clock") else change.family
     # a single response does not tell a structure that lags from its sensor
