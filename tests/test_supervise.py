@@ -52,7 +52,10 @@ def closed(found, since=0):
 def test_what_dies_or_hangs_runs_again_and_ends_with_the_supervisor(rig):
     found, process = rig
     found.until(lambda: closed(found), 120.0)
-    pids = {name: pid_of(found, name) for name in ("plant", "estimator", "reference", "controller")}
+    names = ("plant", "estimator", "reference", "controller")
+    # the supervisor may not have told them yet, and a signal to process 0 would end this test itself
+    found.until(lambda: all(pid_of(found, name) for name in names), 60.0)
+    pids = {name: pid_of(found, name) for name in names}
     for name, number in (("estimator", signal.SIGKILL), ("controller", signal.SIGSTOP)):
         since = len(found.heard["/vo2/measurement"])
         os.kill(pids[name], number)
