@@ -137,9 +137,7 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
     for option in found.options:
         judged = held_out(option.final, option.chosen, reference=problem, folds=folds, tick=clock.tick)
         shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
-        # a calibration that holds the effect, too, does not say what the law misses without it
-        left_out = np.inf if problem.refits else located.left_out
-        adequacy = adequacy_of(option, problem, left_out, limits)
+        adequacy = adequacy_of(option, problem, located.left_out, limits)
         shown = max(shown, adequacy.share, judged.share)
         admissible = _is_admissible(option, judged, adequacy, limits)
         admissible = admissible and _beyond_misfit(option, adequacy, located, limits)
@@ -267,16 +265,16 @@ def _is_admissible(option: Option, judged: HeldOut, adequacy: Adequacy, limits: 
 def _beyond_misfit(option: Option, adequacy: Adequacy, located: Located, limits: Limits) -> bool:
     """Whether an explanation gains more than all that the device's own misfit is expected to leave, or explains all there is.
 
-    Of a device that is fitted anew no misfit is known: there two effects at once must gain more than unchanged devices
-    leave in the channels that they reach. What the values themselves show needs no comparison.
+    Of a device that is fitted anew two effects at once must gain more than unchanged devices leave in the channels that
+    they reach, too. What the values themselves show needs no comparison.
     """
     problem, gain = located.problem, option.chosen.gain
     if any(hypothesis.evident for hypothesis in option.chosen.hypotheses):
         return True
-    if problem.refits:
+    if problem.refits and len(option.chosen.keys) > 1:
         rows = [row.where for row in problem.rows if row.channel in _reached(option)]
-        least = limits.slack * sum(np.count_nonzero(problem.weight[where]) for where in rows)
-        return len(option.chosen.keys) == 1 or gain > least
+        if gain <= limits.slack * sum(np.count_nonzero(problem.weight[where]) for where in rows):
+            return False
     all_of_it = located.total_excess > limits.slack and adequacy.share >= limits.thorough
     return all_of_it or gain > located.left_out * problem.count
 

@@ -119,14 +119,22 @@ def loop_shapes(nominal: Nominal, chosen: Mapping[str, LoopShape] | None = None)
 
 
 def open_shapes(nominal: Nominal) -> dict[str, LoopShape]:
-    """Return loop shapes that nothing is known of but the prior: ten per cent of the model's, and the kind of basis.
+    """Return loop shapes that nothing is known of but the prior, ten per cent of the model's, and the kinds of basis and misfit.
+
+    What a law misses of the calibration is also what an effect does there: a bound of the device's own misfit from above.
 
     Parameters
     ----------
     nominal : fitted simulation
     """
     known = loop_shapes(nominal)
-    return _shapes(nominal, lambda channel: _prior_shape(nominal, channel, known[channel].basis))
+
+    def opened(channel: str) -> LoopShape:
+        own = known[channel]
+        prior = _prior_shape(nominal, channel, own.basis)
+        return replace(prior, rough=own.rough, misfit=own.misfit, left_out=own.left_out, kind=own.kind)
+
+    return _shapes(nominal, opened)
 
 
 def _shapes(nominal: Nominal, of: Callable[[str], LoopShape]) -> dict[str, LoopShape]:
