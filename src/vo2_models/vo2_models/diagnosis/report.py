@@ -209,7 +209,7 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
 
 
 def unlikely(study: Study) -> bool:
-    """Whether something else than what is named is more likely than a name.
+    """Return whether something else than what is named is more likely than a name.
 
     Parameters
     ----------
