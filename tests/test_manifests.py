@@ -22,6 +22,7 @@ KEYS = {
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "tqdm": "python3-tqdm",
+    "setuptools": "python3-setuptools",
     "yaml": "python3-yaml",
 }
 """Module -> key of rosdistro's python.yaml; a ROS package has its own name."""
