@@ -263,7 +263,7 @@ def _is_admissible(option: Option, judged: HeldOut, adequacy: Adequacy, limits: 
 
 
 def _beyond_misfit(option: Option, adequacy: Adequacy, located: Located, limits: Limits) -> bool:
-    """Whether an explanation gains more than all that the device's own misfit is expected to leave, or explains all there is.
+    """Whether an explanation gains more than the device's own misfit would leave where it acts, or explains all there is.
 
     Of a device that is fitted anew two effects at once must gain more than unchanged devices leave in the channels that
     they reach, too. What the values themselves show needs no comparison.
@@ -271,12 +271,12 @@ def _beyond_misfit(option: Option, adequacy: Adequacy, located: Located, limits:
     problem, gain = located.problem, option.chosen.gain
     if any(hypothesis.evident for hypothesis in option.chosen.hypotheses):
         return True
-    if problem.refits and len(option.chosen.keys) > 1:
-        rows = [row.where for row in problem.rows if row.channel in _reached(option)]
-        if gain <= limits.slack * sum(np.count_nonzero(problem.weight[where]) for where in rows):
-            return False
+    reached = {c: n for c, n in problem.count_by_channel.items() if c in _reached(option)}
+    if problem.refits and len(option.chosen.keys) > 1 and gain <= limits.slack * sum(reached.values()):
+        return False
     all_of_it = located.total_excess > limits.slack and adequacy.share >= limits.thorough
-    return all_of_it or gain > located.left_out * problem.count
+    shapes = problem.shapes
+    return all_of_it or gain > sum(shapes[c].left_out * n for c, n in reached.items() if c in shapes)
 
 
 def _reached(option: Option) -> set[str]:

@@ -33,6 +33,10 @@ SLOWEST = 3.0
 """Longest time constant that is looked for, in lengths of the longest recording."""
 MAGNITUDE_STEP = 0.05
 """A step that matters of a magnitude, as a share of its typical size."""
+ANGLE = "rad"
+"""Unit of a phase, which is no magnitude: nothing is neutral about 0."""
+CRESTS = 3
+"""Pitches of a ripple that are tried, those which explain most of the residual."""
 COARSE = 1.2
 """Noise of a converter over that of the calibration from which the converter is a new one."""
 REPEATED = 8
@@ -95,7 +99,10 @@ class Hypothesis:
         return tuple(
             n
             for n in fitted
-            if _neutral(self.parameter(n)) == 0.0 and not self.logarithmic(n) and n not in self.choices
+            if _neutral(self.parameter(n)) == 0.0
+            and not self.logarithmic(n)
+            and n not in self.choices
+            and self.parameter(n).unit != ANGLE
         )
 
     def bounds(self, name: str) -> tuple[float, float]:
@@ -238,6 +245,12 @@ def _starts(
         elif p.unit == "Hz":
             grids[p.name] = _frequencies(problem, record, signal, device, residual)
             scales[p.name] = 0.02
+        elif p.unit == ANGLE:
+            grids[p.name] = [0.0, 0.5 * np.pi]  # the magnitude's sign tells the other half
+            scales[p.name] = 0.05
+        elif middle and signal and p.unit == "channel unit" and any(q.unit == ANGLE for q in free):
+            grids[p.name] = _pitches(problem, signal, residual, (low / 3, high * 3))
+            scales[p.name] = 0.02
         elif _neutral(p) == 0.0 and not middle:
             grids[p.name] = [0.0]
             scales[p.name] = 0.0  # set below, from the other magnitudes
@@ -348,4 +361,34 @@ def _frequencies(
                 found.append(candidate)
             if len(found) >= 6:
                 break
+    return found
+
+
+def _pitches(
+    problem: LinearisedProblem, signal: str, residual: Floats, within: tuple[float, float]
+) -> list[float]:
+    """Periods along a channel's values, in its unit, in which its residual swings most, best first.
+
+    Power of the residual at 1 / pitch over the measured values in place of the time, at a quarter of a crest over their span.
+    """
+    values, left = [], []
+    for row, part, _ in problem.iterate():
+        if row.channel == signal:
+            counts = problem.weight[row.where] > 0
+            values.append(part.observed[signal][counts])
+            left.append(problem.in_its_unit(row, residual)[counts])
+    if not values:
+        return [float(np.sqrt(within[0] * within[1]))]
+    y, r = np.concatenate(values), np.concatenate(left)
+    stride = max(1, y.size // 20_000)
+    y, r = y[::stride], r[::stride] - np.mean(r)
+    span = max(float(np.ptp(y)), within[0])
+    per_unit = np.arange(1.0 / within[1], 1.0 / within[0], 0.25 / span)
+    power = np.abs([r @ np.exp(-2j * np.pi * f * y) for f in per_unit])
+    found: list[float] = []
+    for k in np.argsort(-power):
+        if all(abs(per_unit[k] - 1.0 / pitch) > 0.5 / span for pitch in found):
+            found.append(1.0 / float(per_unit[k]))
+        if len(found) == CRESTS:
+            break
     return found

@@ -94,10 +94,9 @@ def locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
 
 def _left_out(problem: LinearisedProblem) -> float:
     """Excess power that the calibration's worst stretch leads to expect of these recordings, all channels together."""
-    expected = 0.0
-    for row in problem.rows:
-        shape = problem.shapes.get(row.channel)
-        expected += (shape.left_out if shape else 0.0) * np.count_nonzero(problem.weight[row.where])
+    expected = sum(
+        problem.shapes[c].left_out * n for c, n in problem.count_by_channel.items() if c in problem.shapes
+    )
     return expected / max(problem.count, 1)
 
 

@@ -118,15 +118,15 @@ ANOTHER_DAY = {
     "thermal.linear_gain": ("K/A", 0.005),
     "thermal.square_gain": ("K/A^2", 0.005),
     "thermal.time_constant": ("s", 0.05),
-    "driver.dead_time": ("s", 0.05),
+    "driver.dead_time": ("s", 0.01),
     "deflection.zero": ("m", 0.01),
     "deflection.gain": ("1", 0.01),
     "resistance.gain": ("1", 0.01),
 }
 """Unit, and standard deviation of what differs between two days of an unchanged rig: of the ambient in kelvin, of the
 deflection's zero as a share of its range, of the others as a share of the value. A room is held within 1 K, a thermal
-grease or a clamp set anew changes a time constant by some per cent, an optical lever is aligned to some tenths of a
-micrometre, a meter keeps its gain within a per cent. Assumed: no statistics over days are published."""
+grease or a clamp set anew changes a time constant by some per cent but no dead time, an optical lever is aligned to some
+tenths of a micrometre, a meter keeps its gain within a per cent. Assumed: no statistics over days are published."""
 
 
 def constants_of(nominal: Nominal) -> tuple[Constant, ...]:

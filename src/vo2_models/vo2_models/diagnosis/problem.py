@@ -107,6 +107,14 @@ class LinearisedProblem:
         """Number of samples that count."""
         return int(np.count_nonzero(self.weight))
 
+    @property
+    def count_by_channel(self) -> dict[str, int]:
+        """The same of each channel."""
+        found: dict[str, int] = {}
+        for row in self.rows:
+            found[row.channel] = found.get(row.channel, 0) + int(np.count_nonzero(self.weight[row.where]))
+        return found
+
     def responses(
         self, effects: Effects, shift: Floats | None = None, *, fine: bool = True
     ) -> list[Response]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from vo2_models.diagnosis.result import (
     MovedConstant,
     NamedEffect,
 )
+from vo2_models.diagnosis.search import cost
 from vo2_models.diagnosis.stages import Study
 from vo2_models.effects.record import CHOICE
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
@@ -231,15 +233,22 @@ def _weights(study: Study, everyone: Sequence[Explanation], chi: Sequence[float]
     temper = study.limits.temper * (1.0 + max(study.decision.remaining_excess, 0.0))
     if study.reading.one_loop and chosen is not None:
         temper = max(temper, study.limits.temper_on_one_loop * chosen.gain)
-    weights = probabilities(chi, [len(e.coordinates) for e in everyone], count=problem.count, temper=temper)
+    costs = np.array(
+        [cost(replace(e, chi_square=q), problem, study.limits) for e, q in zip(everyone, chi, strict=True)]
+    )
+    weights = probabilities(costs, temper=temper)
     if chosen is None or len(chosen.keys) > 1:
         return weights
     same = next((r for r in study.decision.rivals if r.keys == chosen.keys), None)
     if same is None:
         return weights
     change = _change(problem, same)
-    odds = [1.0, *(odds_of_rival(problem, change, _change(problem, rival)) for rival in everyone[1:])]
-    weights = np.maximum(weights / weights[0], odds)
+    dearer = costs - np.array(chi)
+    odds = [
+        odds_of_rival(problem, change, _change(problem, rival), dearer=more)
+        for rival, more in zip(everyone[1:], dearer[1:] - dearer[0], strict=True)
+    ]
+    weights = np.maximum(weights / weights[0], [1.0, *odds])
     return np.asarray(weights / np.sum(weights))
 
 
@@ -483,7 +492,9 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     return text + tail
 
 
-def odds_of_rival(problem: LinearisedProblem, deviation: Floats, rival: Floats, *, blocks: int = 24) -> float:
+def odds_of_rival(
+    problem: LinearisedProblem, deviation: Floats, rival: Floats, *, dearer: float = 0.0, blocks: int = 24
+) -> float:
     """Odds, 0 to 1, of one change of the simulation against another that fits better: their tempered likelihood ratio.
 
     With n what the better one leaves and d the difference of the two, the logarithm of the likelihood ratio is the sum of
@@ -495,6 +506,7 @@ def odds_of_rival(problem: LinearisedProblem, deviation: Floats, rival: Floats, 
     ----------
     problem : that both were fitted in
     deviation, rival : (N,) whitened
+    dearer : what the rival's parameters cost more than the other's, in chi-square, see `search.cost`
     blocks : of each recording
     """
     left, others = (
@@ -502,7 +514,7 @@ def odds_of_rival(problem: LinearisedProblem, deviation: Floats, rival: Floats, 
     )
     apart = others - left
     chance = left * apart
-    ratio = float(np.sum(chance + 0.5 * apart**2))
+    ratio = float(np.sum(chance + 0.5 * apart**2)) + 0.5 * dearer
     sums: dict[tuple[int, int], float] = {}
     for row, part, _ in problem.iterate():
         edges = np.arange(blocks) * part.size // blocks
@@ -512,19 +524,13 @@ def odds_of_rival(problem: LinearisedProblem, deviation: Floats, rival: Floats, 
     return float(np.exp(-2.0 * max(ratio, 0.0) ** 2 / scatter))
 
 
-def probabilities(
-    chi_squares: Sequence[float], parameters: Sequence[int], *, count: int, temper: float
-) -> Floats:
-    """Return posterior probabilities of rivals from chi-square and number of parameters, tempered for what these do not know.
+def probabilities(costs: Floats, *, temper: float) -> Floats:
+    """Return posterior probabilities (n,) of rivals, tempered for what chi-square does not know.
 
     Parameters
     ----------
-    chi_squares : of each
-    parameters : number of fitted parameters of each; each costs log(count)
-    count : number of samples
+    costs : (n,) chi-square of each and what its parameters cost, see `search.cost`
     temper : divides the log likelihood ratios
     """
-    score = np.array([-0.5 * (q + p * np.log(count)) for q, p in zip(chi_squares, parameters, strict=True)])
-    score = (score - np.max(score)) / temper
-    weight = np.exp(score)
+    weight = np.exp(-0.5 * (costs - np.min(costs)) / temper)
     return np.asarray(weight / np.sum(weight))
