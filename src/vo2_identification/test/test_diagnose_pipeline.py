@@ -347,6 +347,23 @@ def test_the_recording_tells_which_transition_takes_up_the_heat(parameters, phas
     assert chosen.values[0]["latent"] == pytest.approx(15.0, rel=0.05)
 
 
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("sensor_ripple:tip_deflection", {"amplitude": 0.6e-6, "pitch": 7.3e-6, "phase_angle": 2.5}),
+        ("stiffening", {"stiffness": 3e7, "rest_bend": -2.5e3}),
+        ("backlash", {"width": 0.8e-6, "start": -0.6}),
+    ],
+)
+def test_what_bends_the_shown_deflection_is_told_by_its_own_shape(parameters, name, values) -> None:
+    signal = name.partition(":")[2]
+    answer = diagnose([concealed({name: {**values, **({"signal": signal} if signal else {})}})], parameters)
+    assert [(e.id, e.signal or "") for e in answer.effects] == [(name.partition(":")[0], signal)]
+    found = answer.effects[0].parameters
+    size = next(iter(values))
+    assert abs(found[size].value) == pytest.approx(values[size], rel=0.15)
+
+
 def test_a_light_that_is_always_on_is_told_as_a_constant(parameters) -> None:
     answer = diagnose([concealed({"laser_heating": {"rise": 0.5}})], parameters)
     assert answer.verdict == "drifted" and answer.effects == []

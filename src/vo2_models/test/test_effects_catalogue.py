@@ -390,7 +390,7 @@ def _settled_after(name: str, device: str, values: dict, current: float, dt: flo
         ("creep", {"share": 0.1, "time_constant": 0.4, "gain": 0.02}, 8.0),
         ("transition_kinetics", {"time_constant": 0.2}, 4.0),
         ("substrate_diffusion", {"share": 0.06, "time_constant": 1e-4}, 20.0),
-        ("backlash", {"width": 1e-6}, 1.0),
+        ("backlash", {"width": 1e-6, "start": 1.0}, 1.0),
         ("averaging", {"window": 5e-3, "signal": RESISTANCE}, 1.0),
     ],
 )
@@ -489,6 +489,9 @@ def test_new_terms_follow_their_equations():
     base, run = _pair("stiffening", "integrated", hot, stiffness=2e7)
     d = base[TIP_DEFLECTION]
     assert run[TIP_DEFLECTION] == pytest.approx(d / (1 + 2e7 * d**2), rel=1e-9)
+    base, run = _pair("stiffening", "integrated", hot, stiffness=2e7, rest_bend=-1e3)
+    d = base[TIP_DEFLECTION]
+    assert run[TIP_DEFLECTION] == pytest.approx(d / (1 - 1e3 * d + 2e7 * d**2), rel=1e-9)
     values = {"amplitude": 1e-6, "pitch": 9e-6, "phase_angle": 0.4, "signal": TIP_DEFLECTION}
     base, run = _pair("sensor_ripple", "integrated", hot, **values)
     d = base[TIP_DEFLECTION]
@@ -498,6 +501,8 @@ def test_new_terms_follow_their_equations():
     assert np.ptp(base[TIP_DEFLECTION][-40:]) - np.ptp(run[TIP_DEFLECTION][-40:]) == pytest.approx(
         0.8e-6, rel=0.02
     )
+    base, run = _pair("backlash", "integrated", np.zeros(5), width=0.4e-6, start=-0.5)
+    assert run[TIP_DEFLECTION] - base[TIP_DEFLECTION] == pytest.approx(0.2e-6)
 
 
 def test_magnitudes_of_another_device_follow_its_own_sizes(tmp_path):

@@ -14,8 +14,6 @@ from vo2_models.diagnosis.problem import LinearisedProblem
 __all__ = ["Drift", "drift_of"]
 
 Floats = NDArray[np.float64]
-BLOCKS = 24
-"""Stretches of a recording whose scatter widens a deviation."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,7 @@ def drift_of(problem: LinearisedProblem, residual: Floats) -> Drift:
     """Return the posterior of the drifting constants.
 
     The covariance is (B'B + I)^-1 of the whole nuisance model. It is widened by the sandwich: the influence of each
-    sample on an estimate, times what is left of the residual, summed over long blocks, scatters as the deviation says
+    sample on an estimate, times what is left of the residual, summed over long stretches, scatters as the deviation says
     only if the residual is noise.
 
     Parameters
@@ -70,13 +68,7 @@ def drift_of(problem: LinearisedProblem, residual: Floats) -> Drift:
     influence = problem.nuisance.times(inverse)
     weights = problem.fit_nuisance(residual)
     left = residual - problem.nuisance.times(weights)
-    scatter = np.zeros(len(places))
-    for index, part in enumerate(problem.parts):
-        edges = np.arange(BLOCKS) * part.size // BLOCKS
-        own = [row.where for row in problem.rows if row.part == index]
-        # a block of time is one piece of evidence for all channels together
-        sums = sum(np.add.reduceat(influence[w] * left[w, None], edges, axis=0) for w in own)
-        scatter += np.sum(np.asarray(sums) ** 2, axis=0)
+    scatter = np.sum(problem.over_stretches(influence * left[:, None]) ** 2, axis=0)
     plain = np.sum(influence**2, axis=0)
     wider = np.sqrt(np.maximum(scatter / np.maximum(plain, 1e-300), 1.0))
     spread = np.array([c.spread for c in constants])

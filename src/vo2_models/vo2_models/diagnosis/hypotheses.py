@@ -35,8 +35,10 @@ MAGNITUDE_STEP = 0.05
 """A step that matters of a magnitude, as a share of its typical size."""
 ANGLE = "rad"
 """Unit of a phase, which is no magnitude: nothing is neutral about 0."""
-CRESTS = 3
+PITCHES = 3
 """Pitches of a ripple that are tried, those which explain most of the residual."""
+CRESTS = 1.5
+"""Least number of crests of a ripple over the values that were measured: fewer are a bend."""
 COARSE = 1.2
 """Noise of a converter over that of the calibration from which the converter is a new one."""
 REPEATED = 8
@@ -56,6 +58,7 @@ class Hypothesis:
     evident : whether the values show it by themselves: all on a grid much coarser than the calibration's noise
     fastest : half the sampling rate [Hz]; what oscillates faster is not seen to oscillate
     slowest : longest time constant [s]; what takes longer is seen as a straight line, or not to move
+    widest : largest pitch of a ripple, in the signal's unit
     """
 
     record: Effect
@@ -65,6 +68,7 @@ class Hypothesis:
     evident: bool = False
     fastest: float = np.inf
     slowest: float = np.inf
+    widest: float = np.inf
 
     @property
     def key(self) -> str:
@@ -106,12 +110,20 @@ class Hypothesis:
         )
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """Physical range, of a frequency and of a time constant what the samples can show of it."""
+        """Physical range, of a frequency, a time constant and a pitch what the samples can show of it."""
         parameter = self.parameter(name)
         upper = float(parameter.upper or 0.0)
-        if parameter.unit == "s" and self.logarithmic(name):
+        if parameter.unit == "Hz":
+            upper = min(upper, self.fastest)
+        elif parameter.unit == "s" and self.logarithmic(name):
             upper = min(upper, self.slowest)
-        return float(parameter.lower or 0.0), min(upper, self.fastest) if parameter.unit == "Hz" else upper
+        elif self._is_pitch(name):
+            upper = min(upper, self.widest)
+        return float(parameter.lower or 0.0), upper
+
+    def _is_pitch(self, name: str) -> bool:
+        """Whether it is the pitch of a ripple along the signal's values."""
+        return _is_pitch(self.parameter(name), self.record)
 
     def ends(self, name: str, value: float) -> bool:
         """Whether a value is at the end of what is physical; nothing and anything are no ends."""
@@ -161,9 +173,8 @@ def hypotheses(problem: LinearisedProblem, device: str, residual: Floats) -> lis
                 on_grid = "step" in scales and _coarser_than_before(problem, signal)
                 fastest = 0.5 / max(part.dt for part in problem.parts)
                 slowest = SLOWEST * max(part.size * part.dt for part in problem.parts)
-                one = Hypothesis(
-                    record, signal, tuple(starts), scales, evident=on_grid, fastest=fastest, slowest=slowest
-                )
+                widest = float(np.ptp(_values(problem, signal))) / CRESTS if signal else np.inf
+                one = Hypothesis(record, signal, tuple(starts), scales, on_grid, fastest, slowest, widest)
                 inside = tuple(
                     {n: min(v, one.bounds(n)[1]) if one.logarithmic(n) else v for n, v in start.items()}
                     for start in starts
@@ -248,8 +259,8 @@ def _starts(
         elif p.unit == ANGLE:
             grids[p.name] = [0.0, 0.5 * np.pi]  # the magnitude's sign tells the other half
             scales[p.name] = 0.05
-        elif middle and signal and p.unit == "channel unit" and any(q.unit == ANGLE for q in free):
-            grids[p.name] = _pitches(problem, signal, residual, (low / 3, high * 3))
+        elif middle and signal and _is_pitch(p, record):
+            grids[p.name] = _pitches(problem, signal, residual, low / 3)
             scales[p.name] = 0.02
         elif _neutral(p) == 0.0 and not middle:
             grids[p.name] = [0.0]
@@ -364,9 +375,12 @@ def _frequencies(
     return found
 
 
-def _pitches(
-    problem: LinearisedProblem, signal: str, residual: Floats, within: tuple[float, float]
-) -> list[float]:
+def _is_pitch(parameter: Parameter, record: Effect) -> bool:
+    ripples = any(p.unit == ANGLE for p in record.parameters)
+    return ripples and parameter.unit == "channel unit" and _neutral(parameter) != 0.0
+
+
+def _pitches(problem: LinearisedProblem, signal: str, residual: Floats, finest: float) -> list[float]:
     """Periods along a channel's values, in its unit, in which its residual swings most, best first.
 
     Power of the residual at 1 / pitch over the measured values in place of the time, at a quarter of a crest over their span.
@@ -378,17 +392,17 @@ def _pitches(
             values.append(part.observed[signal][counts])
             left.append(problem.in_its_unit(row, residual)[counts])
     if not values:
-        return [float(np.sqrt(within[0] * within[1]))]
+        return [3.0 * finest]
     y, r = np.concatenate(values), np.concatenate(left)
     stride = max(1, y.size // 20_000)
     y, r = y[::stride], r[::stride] - np.mean(r)
-    span = max(float(np.ptp(y)), within[0])
-    per_unit = np.arange(1.0 / within[1], 1.0 / within[0], 0.25 / span)
+    span = max(float(np.ptp(y)), CRESTS * finest)
+    per_unit = np.arange(CRESTS / span, 1.0 / finest + 0.25 / span, 0.25 / span)
     power = np.abs([r @ np.exp(-2j * np.pi * f * y) for f in per_unit])
     found: list[float] = []
     for k in np.argsort(-power):
         if all(abs(per_unit[k] - 1.0 / pitch) > 0.5 / span for pitch in found):
             found.append(1.0 / float(per_unit[k]))
-        if len(found) == CRESTS:
+        if len(found) == PITCHES:
             break
     return found

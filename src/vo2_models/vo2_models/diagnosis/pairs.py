@@ -61,15 +61,18 @@ class Option:
     remaining: float
 
 
-def trace(final: LinearisedProblem) -> Floats:
+def trace(final: LinearisedProblem, key: str = "") -> Floats:
     """Return what the effects that the problem is about change in the recording, (N,) whitened, without noise.
 
     Parameters
     ----------
     final : about the effects
+    key : of one of them, beside the others; all together by default
     """
-    plain = replace(final, included={})
-    bent = final.nuisance.of_courses(final.fit_nuisance(final.residual)) if final.courses else 0.0
+    others = {name: values for name, values in final.included.items() if key and name != key}
+    plain = replace(final, included=others)
+    bends = key in final.courses if key else bool(final.courses)
+    bent = final.nuisance.of_courses(final.fit_nuisance(final.residual)) if bends else 0.0
     return bent - plain.stack(plain.responses({}), final.nominal_responses)
 
 

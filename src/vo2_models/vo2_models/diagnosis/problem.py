@@ -240,6 +240,18 @@ class LinearisedProblem:
         own = [row.where for row in self.rows if row.channel == channel]
         return slice(own[0].start, own[-1].stop)
 
+    def over_stretches(self, values: Floats, *, stretches: int = 24) -> Floats:
+        """Sums (m,) or (m, p) of what stands in stacked vectors (N,) or (N, p) over long stretches of time of each recording.
+
+        A stretch is one piece of evidence for all channels together: misfit goes on over many samples and through all of them.
+        """
+        found = []
+        for index, part in enumerate(self.parts):
+            edges = np.arange(stretches) * part.size // stretches
+            own = [row.where for row in self.rows if row.part == index]
+            found.append(np.sum([np.add.reduceat(values[where], edges, axis=0) for where in own], axis=0))
+        return np.concatenate(found)
+
     def iterate(self) -> Iterator[tuple[Row, Part, Response]]:
         """Rows with their recording and nominal response."""
         for row in self.rows:

@@ -493,13 +493,13 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
 
 
 def odds_of_rival(
-    problem: LinearisedProblem, deviation: Floats, rival: Floats, *, dearer: float = 0.0, blocks: int = 24
+    problem: LinearisedProblem, deviation: Floats, rival: Floats, *, dearer: float = 0.0
 ) -> float:
     """Odds, 0 to 1, of one change of the simulation against another that fits better: their tempered likelihood ratio.
 
     With n what the better one leaves and d the difference of the two, the logarithm of the likelihood ratio is the sum of
     n d + d^2 / 2: its mean L = sum of d^2 / 2 is certain, what scatters is n d. Where n is noise the variance is 2 L; misfit
-    that is correlated over a block counts once, however many samples it has: S^2 is the sum over long blocks of
+    that is correlated over a stretch counts once, however many samples it has: S^2 is the sum over long stretches of
     (sum of n d)^2, at least 2 L. Tempered by S^2 / (2 L), the ratio is exp(-2 L^2 / S^2).
 
     Parameters
@@ -507,7 +507,6 @@ def odds_of_rival(
     problem : that both were fitted in
     deviation, rival : (N,) whitened
     dearer : what the rival's parameters cost more than the other's, in chi-square, see `search.cost`
-    blocks : of each recording
     """
     left, others = (
         problem.apply_inverse_covariance(problem.residual - change) for change in (deviation, rival)
@@ -515,12 +514,7 @@ def odds_of_rival(
     apart = others - left
     chance = left * apart
     ratio = float(np.sum(chance + 0.5 * apart**2)) + 0.5 * dearer
-    sums: dict[tuple[int, int], float] = {}
-    for row, part, _ in problem.iterate():
-        edges = np.arange(blocks) * part.size // blocks
-        for k, value in enumerate(np.add.reduceat(chance[row.where], edges)):
-            sums[row.part, k] = sums.get((row.part, k), 0.0) + float(value)
-    scatter = max(sum(value**2 for value in sums.values()), float(apart @ apart), 1e-12)
+    scatter = max(float(np.sum(problem.over_stretches(chance) ** 2)), float(apart @ apart), 1e-12)
     return float(np.exp(-2.0 * max(ratio, 0.0) ** 2 / scatter))
 
 

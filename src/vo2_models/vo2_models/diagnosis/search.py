@@ -223,7 +223,21 @@ def _options(
     pair = pair_of(located.nominal, problem, alone, candidates, limits, tick=clock.tick)
     if pair is None and first.cornered:
         pair = _pair_in_place_of_one(located, alone, singles, candidates, limits, clock)
-    return [pair, alone] if pair else [alone]
+    if not pair:
+        return [alone]
+    return [pair, *_partner_alone(located, pair, alone, clock), alone]
+
+
+def _partner_alone(located: Located, pair: Option, alone: Option, clock: Clock) -> list[Option]:
+    """The second effect of a pair by itself, where it fits better than the first: one that was found beside it only."""
+    chosen = pair.chosen
+    place = next(k for k, key in enumerate(chosen.keys) if key not in alone.chosen.keys)
+    partner = fit_jointly(
+        located.problem, [chosen.hypotheses[place]], [chosen.values[place]], tick=clock.tick
+    )
+    if partner.chi_square > alone.chosen.chi_square or partner.at_bound:
+        return []
+    return [option_of(located.nominal, located.problem, partner, alone.rivals, tick=clock.tick)]
 
 
 def _in_one_switch(located: Located, alone: Option, limits: Limits, clock: Clock) -> Option:

@@ -10,14 +10,22 @@ EFFECT = Effect(
         constant_of(
             "stiffness", 0, "1/m^2", "relative loss of deflection per squared deflection", -5e7, 1e12
         ),
+        constant_of(
+            "rest_bend", 0, "1/m", "relative loss per deflection: the structure is bent at rest", -4e3, 4e3
+        ),
     ),
     channels=(TIP_DEFLECTION,),
     linear=False,
     order=35,
-    typical={"integrated": {"stiffness": (8e6, 4e7)}, "peltier": {"stiffness": (6e6, 3e7)}},
-    equation="D_measured = D / (1 + c D^2)",
+    typical={
+        "integrated": {"stiffness": (8e6, 4e7), "rest_bend": (4e2, 2e3)},
+        "peltier": {"stiffness": (6e6, 3e7), "rest_bend": (4e2, 2e3)},
+    },
+    equation="D_measured = D / (1 + b D + c D^2)",
     excitation="the whole range of deflection",
-    source="Duffing spring, any text on large deflections",
+    source=(
+        "Duffing spring about a deflection of rest, whose square term is b; Kovacic and Brennan, The Duffing Equation, 2011"
+    ),
     statement=(
         "Residual stress, a clamp that rolls off or a large deflection make the cantilever stiffer as it bends: the same "
         "moment bends it less where it is bent already. Nothing is late, and the two branches change alike at a deflection."
@@ -25,5 +33,5 @@ EFFECT = Effect(
 )
 
 
-def structure(deflection, stiffness):
-    return deflection / (1.0 + stiffness * deflection * deflection)
+def structure(deflection, stiffness, rest_bend):
+    return deflection / (1.0 + rest_bend * deflection + stiffness * deflection * deflection)
