@@ -61,7 +61,7 @@ def calibration():
     return np.concatenate([[25.0], *pieces]), 1e-3
 
 
-def _shape(calibration, residual):
+def _nominal(calibration, residual):
     ends, noise = calibration
     size = ends.size - 1
     digest = CalibrationDigest(
@@ -69,8 +69,11 @@ def _shape(calibration, residual):
     )
     bank = PlayBank([0.5], [0.0], [0.2], [-12.4], [0.2], [-11.0], [-4.7, 0.001])
     model = DeviceModel("integrated", resistance=bank)
-    nominal = Nominal(model, {}, digest, {RESISTANCE: NoiseModel(noise), TIP_DEFLECTION: NoiseModel(1e-9)})
-    return loop_shapes(nominal)[RESISTANCE]
+    return Nominal(model, {}, digest, {RESISTANCE: NoiseModel(noise), TIP_DEFLECTION: NoiseModel(1e-9)})
+
+
+def _shape(calibration, residual):
+    return loop_shapes(_nominal(calibration, residual))[RESISTANCE]
 
 
 def test_a_misfit_that_wanders_is_told_from_noise_and_from_another_loop(calibration):
@@ -89,3 +92,8 @@ def test_a_misfit_that_wanders_is_told_from_noise_and_from_another_loop(calibrat
     )
     shape = _shape(calibration, blocks + wander)
     assert 3.0 * noise <= shape.misfit.level <= 10.0 * noise
+    nominal = _nominal(calibration, blocks + wander)
+    chosen = loop_shapes(nominal)
+    again = loop_shapes(nominal, chosen)[RESISTANCE]
+    assert again.misfit == shape.misfit, "what the calibration chose stays when the noise is refined"
+    assert again.left_out == pytest.approx(shape.left_out)

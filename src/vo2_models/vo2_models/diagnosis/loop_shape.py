@@ -252,7 +252,7 @@ class _Evidence:
         left = _left_out(white.features[:, own] * scale, white.target, self.digest.count)
         by_lag = dict(zip(self.digest.by_lag, means[:, 1:].T, strict=True))
         return LoopShape(
-            fit.basis, self.span, means[:, 0], factor, fit.kind.rough * level, by_lag, misfit, left
+            fit.basis, self.span, means[:, 0], factor, fit.kind.rough * level, by_lag, misfit, left, fit.kind
         )
 
     def _columns(self, basis: EnrichmentBasis) -> NDArray[np.intp]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vo2_models.numerics.kernel import kernel
 
-from vo2_studies.challenge.families.law import Film, Statistics, implement
+from vo2_studies.challenge.families.law import Film, Statistics, draw_both, implement, logistic_volumes
 
 __all__ = ["BoucWen", "draw"]
 
@@ -85,23 +85,12 @@ implement(BoucWen, settle=_settle, advance=_advance, widen=_widen)
 
 def draw(rng: np.random.Generator, film: Statistics, misfit: float) -> Film:
     """Draw a film of few volumes whose loops scatter by `misfit` besides the material's spread."""
-    to_scale = np.sqrt(3) / np.pi  # a logistic distribution's scale from its standard deviation
 
     def law(mean: float, spread: float) -> BoucWen:
-        weight = rng.dirichlet(np.full(VOLUMES, 6.0))
-        places = np.clip(rng.standard_normal(VOLUMES), -1.5, 1.5)
-        up = mean + 0.35 * spread * (places - np.sum(weight * places))
-        inner = np.sqrt(max(spread**2 - np.sum(weight * (up - mean) ** 2), 0.3 * spread**2))
-        width = film.width_mean * (1 + misfit * rng.standard_normal(VOLUMES))
-        width = np.maximum(
-            width + 0.3 * film.width_sd * np.clip(rng.standard_normal(VOLUMES), -1.5, 1.5), 1.0
-        )
-        scatter = np.clip(1 + misfit * rng.standard_normal(VOLUMES), 0.5, 1.5)
+        share, up, width, scale = logistic_volumes(rng, film, misfit, mean, spread, count=VOLUMES)
         sigma = rng.uniform(0.5, 0.9, VOLUMES)
         rate = rng.uniform(0.6, 0.95, VOLUMES) / (width * sigma)
         power = rng.uniform(1.0, 2.0, VOLUMES)
-        return BoucWen(up - width / 2, width, to_scale * inner * scatter, rate, sigma, power, weight)
+        return BoucWen(up - width / 2, width, scale, rate, sigma, power, share)
 
-    metal = law(film.heating_mean, film.heating_sd)
-    offset = film.offset_mean + 0.3 * film.offset_sd * rng.standard_normal()
-    return Film(metal, law(film.heating_mean + offset, float(np.hypot(film.heating_sd, film.offset_sd))))
+    return draw_both(rng, film, law)

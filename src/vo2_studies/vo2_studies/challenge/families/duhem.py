@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vo2_models.numerics.kernel import kernel
 
-from vo2_studies.challenge.families.law import Film, Statistics, implement
+from vo2_studies.challenge.families.law import Film, Statistics, draw_both, implement, logistic_volumes
 
 __all__ = ["Duhem", "draw"]
 
@@ -88,18 +88,9 @@ implement(Duhem, settle=_settle, advance=_advance, widen=_widen)
 
 def draw(rng: np.random.Generator, film: Statistics, misfit: float) -> Film:
     """Draw a film of few volumes whose distributions scatter by `misfit` besides the material's spread."""
-    to_scale = np.sqrt(3) / np.pi  # a logistic distribution's scale from its standard deviation
 
     def law(mean: float, spread: float) -> Duhem:
-        weight = rng.dirichlet(np.full(VOLUMES, 6.0))
-        places = np.clip(rng.standard_normal(VOLUMES), -1.5, 1.5)
-        up = mean + 0.35 * spread * (places - np.sum(weight * places))
-        inner = np.sqrt(max(spread**2 - np.sum(weight * (up - mean) ** 2), 0.3 * spread**2))
-        width = film.width_mean * (1 + misfit * rng.standard_normal(VOLUMES))
-        width += 0.3 * film.width_sd * np.clip(rng.standard_normal(VOLUMES), -1.5, 1.5)
-        scatter = np.clip(1 + misfit * rng.standard_normal(VOLUMES), 0.5, 1.5)
-        return Duhem(up, up - np.maximum(width, 1.0), to_scale * inner * scatter, weight)
+        share, up, width, scale = logistic_volumes(rng, film, misfit, mean, spread, count=VOLUMES)
+        return Duhem(up, up - width, scale, share)
 
-    metal = law(film.heating_mean, film.heating_sd)
-    offset = film.offset_mean + 0.3 * film.offset_sd * rng.standard_normal()
-    return Film(metal, law(film.heating_mean + offset, float(np.hypot(film.heating_sd, film.offset_sd))))
+    return draw_both(rng, film, law)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vo2_models.numerics.kernel import kernel
 
-from vo2_studies.challenge.families.law import Film, Statistics, implement, trace
+from vo2_studies.challenge.families.law import Film, Statistics, draw_both, implement, trace
 
 __all__ = ["JilesAtherton", "draw"]
 
@@ -126,6 +126,4 @@ def draw(rng: np.random.Generator, film: Statistics, misfit: float) -> Film:
             )
         return found
 
-    metal = law(film.heating_mean, film.heating_sd)
-    offset = film.offset_mean + 0.3 * film.offset_sd * rng.standard_normal()
-    return Film(metal, law(film.heating_mean + offset, float(np.hypot(film.heating_sd, film.offset_sd))))
+    return draw_both(rng, film, law)

@@ -24,7 +24,19 @@ from numba.extending import overload
 from numpy.typing import NDArray
 from vo2_models.numerics.kernel import kernel, source_digest
 
-__all__ = ["Film", "Statistics", "absorb", "advance", "implement", "major_loop", "settle", "trace", "widen"]
+__all__ = [
+    "Film",
+    "Statistics",
+    "absorb",
+    "advance",
+    "draw_both",
+    "implement",
+    "logistic_volumes",
+    "major_loop",
+    "settle",
+    "trace",
+    "widen",
+]
 
 Array = NDArray[np.floating]
 _SETTLE: dict[object, Callable] = {}
@@ -143,6 +155,30 @@ def trace(law, temperature, feedback, step):
                 break
         out[k] = fraction
     return out
+
+
+def logistic_volumes(
+    rng: np.random.Generator, film: Statistics, misfit: float, mean: float, spread: float, *, count: int
+) -> tuple[Array, Array, Array, Array]:
+    """Draw shares, temperatures of heating [degC], loop widths [K] and logistic scales [K], (count,) each.
+
+    Together they heat through `mean` with the standard deviation `spread`; the loops scatter by `misfit` besides.
+    """
+    share = rng.dirichlet(np.full(count, 6.0))
+    places = np.clip(rng.standard_normal(count), -1.5, 1.5)
+    up = mean + 0.35 * spread * (places - np.sum(share * places))
+    inner = np.sqrt(max(spread**2 - np.sum(share * (up - mean) ** 2), 0.3 * spread**2))
+    width = film.width_mean * (1 + misfit * rng.standard_normal(count))
+    width += 0.3 * film.width_sd * np.clip(rng.standard_normal(count), -1.5, 1.5)
+    scatter = np.clip(1 + misfit * rng.standard_normal(count), 0.5, 1.5)
+    return share, up, np.maximum(width, 1.0), np.sqrt(3) / np.pi * inner * scatter
+
+
+def draw_both(rng: np.random.Generator, film: Statistics, law: Callable[[float, float], Any]) -> Film:
+    """Draw the metallic and the structural transition by `law(mean, spread)` [degC, K]."""
+    metal = law(film.heating_mean, film.heating_sd)
+    offset = film.offset_mean + 0.3 * film.offset_sd * rng.standard_normal()
+    return Film(metal, law(film.heating_mean + offset, float(np.hypot(film.heating_sd, film.offset_sd))))
 
 
 def major_loop(film: Film, temperature_degC: Array) -> tuple[Array, Array, Array, Array]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vo2_models.numerics.kernel import kernel
 
-from vo2_studies.challenge.families.law import Film, Statistics, implement
+from vo2_studies.challenge.families.law import Film, Statistics, draw_both, implement
 
 __all__ = ["Proximity", "draw"]
 
@@ -115,7 +115,4 @@ def draw(rng: np.random.Generator, film: Statistics, misfit: float) -> Film:
         shape = rng.uniform(0.7, 1.1, VOLUMES)  # 0.956 in the paper
         return Proximity(heating - width / 2, width, steepness, shape, weight)
 
-    metal = law(film.heating_mean, film.heating_sd)
-    offset = film.offset_mean + 0.3 * film.offset_sd * rng.standard_normal()
-    spread = float(np.hypot(film.heating_sd, film.offset_sd))
-    return Film(metal, law(film.heating_mean + offset, spread))
+    return draw_both(rng, film, law)
