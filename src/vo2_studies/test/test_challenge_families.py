@@ -156,11 +156,14 @@ def test_minor_loops_lie_inside_and_settle(family):
     up, down, *_ = major_loop(film, grid)
     swings = path([30.0, *[63.0, 57.0] * 10])
     fraction = trace(film.metal, swings, film.feedback, 3600.0)
-    # a differential law cuts its limiting loop by some thousandths after a turn
-    assert np.all(fraction >= np.interp(swings, grid, up) - 5e-3)
-    assert np.all(fraction <= np.interp(swings, grid, down) + 5e-3)
+    # a differential law cuts its limiting loop by some thousandths after a turn; what accommodates cuts it further, and drifts
+    drifts = family == "accommodating"
+    beyond = 1e-2 if drifts else 5e-3
+    assert np.all(fraction >= np.interp(swings, grid, up) - beyond)
+    assert np.all(fraction <= np.interp(swings, grid, down) + beyond)
     tops = fraction[np.isclose(swings, 63.0)]
-    assert abs(tops[-1] - tops[-2]) < 1e-3
+    steps = np.diff(tops)
+    assert 2e-3 < steps[-1] < steps[2] if drifts else abs(steps[-1]) < 1e-3
     loop = fraction[-298:]
     assert np.ptp(loop) > 0.02
     # heating runs below cooling: the loop turns anticlockwise
@@ -186,7 +189,7 @@ def test_only_independent_domains_are_congruent():
         if family in ("plays", "clusters"):
             assert low == pytest.approx(high, abs=1e-9)
         else:
-            assert abs(low - high) > 1e-3, family
+            assert abs(low - high) > 5e-4, family
 
 
 def test_coercivity_of_the_differential_law_grows_with_the_rate():

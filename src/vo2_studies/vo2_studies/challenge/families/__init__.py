@@ -2,7 +2,7 @@
 
 `plays` and `clusters` are independent domains, `interacting` domains in the mean field, `proximity` the limiting-loop
 proximity model, `jiles_atherton` a differential law with rate-dependent coercivity, `duhem` one whose only memory is
-its fraction, `bouc_wen` one whose transition lags behind the temperature.
+its fraction, `bouc_wen` one whose transition lags behind the temperature, `accommodating` domains that mix as they switch.
 """
 
 from __future__ import annotations
@@ -12,7 +12,15 @@ from functools import partial
 
 import numpy as np
 
-from vo2_studies.challenge.families import bouc_wen, domains, duhem, interacting, jiles_atherton, proximity
+from vo2_studies.challenge.families import (
+    accommodating,
+    bouc_wen,
+    domains,
+    duhem,
+    interacting,
+    jiles_atherton,
+    proximity,
+)
 from vo2_studies.challenge.families.law import Film, Statistics, major_loop
 
 __all__ = ["ALL", "FAMILIES", "Film", "Statistics", "chosen_families", "draw_film", "major_loop"]
@@ -26,6 +34,7 @@ FAMILIES: dict[str, Draw] = {
     "jiles_atherton": jiles_atherton.draw,
     "duhem": duhem.draw,
     "bouc_wen": bouc_wen.draw,
+    "accommodating": accommodating.draw,
 }
 ALL = "all"
 
