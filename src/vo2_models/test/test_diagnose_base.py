@@ -8,6 +8,7 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from vo2_models.device import DeviceModel
 from vo2_models.device.coefficients import HUGE, blocks
+from vo2_models.diagnosis.adequacy import sureness
 from vo2_models.diagnosis.breakdown import breakdown, locate
 from vo2_models.diagnosis.courses import course_columns, gain_of_course, with_courses
 from vo2_models.diagnosis.current_reading import as_commanded, between_samples, current_reading
@@ -18,7 +19,7 @@ from vo2_models.diagnosis.loop_shape import _block_covariance
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of, rounded_with_noise
 from vo2_models.diagnosis.nuisance import Coverage, constants_of, coverage
-from vo2_models.diagnosis.pairs import _untried
+from vo2_models.diagnosis.pairs import _untried, option_of, trace
 from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.part import prepare
 from vo2_models.diagnosis.problem import QUICKEST, linearise_problem
@@ -291,9 +292,46 @@ def test_a_rival_is_as_probable_as_misfit_that_is_left_makes_it() -> None:
     assert odds_of_rival(problem, none, none) == 1.0
     assert odds_of_rival(problem, none, change) < 1e-6
     assert odds_of_rival(problem, change, none) == 1.0  # no better than the other
+    assert (
+        odds_of_rival(problem, change, none, dearer=1e4) < 1e-6
+    )  # but for that it has parameters which cost more
     # what is left for long stretches speaks for the rival in one and against it in the next: it may be either
     either_way = np.where(np.arange(none.size) // 500 % 2 == 0, 2.0, -2.0) * change
     assert odds_of_rival(replace(problem, residual=problem.residual + either_way), none, change) > 1e-2
+
+
+def test_an_effect_is_as_sure_as_the_stretches_of_the_recording_agree() -> None:
+    problem = _changed({"transition_kinetics": {"time_constant": 5e-5}})
+    record = effects()["transition_kinetics"]
+    hypothesis = Hypothesis(record, "", ({"time_constant": 3e-5},), {"time_constant": 2e-6})
+    plain = option_of(problem.nominal, problem, fit_jointly(problem, [hypothesis], hypothesis.starts), [])
+    assert sureness(plain) == pytest.approx(np.sqrt(plain.chosen.gain), rel=0.3)  # as sure as in noise
+    # a misfit with the effect's own pattern, for it in one stretch and against it in the next
+    pattern = trace(plain.final)
+    either_way = np.where(np.arange(pattern.size) // 500 % 2 == 0, 1.0, -1.0) * pattern
+    torn = replace(plain, final=replace(plain.final, residual=plain.final.residual + either_way))
+    assert sureness(torn) < 0.2 * sureness(plain)
+
+
+@pytest.mark.parametrize("pitch", [4.1e-6, 8.3e-6])
+def test_a_ripple_begins_with_the_pitch_of_the_residual(pitch) -> None:
+    bank = PlayBank([0.5], [0.0], [0.2], [-12.4], [0.2], [-11.0], [-4.7, 0.001])
+    lever = PlayBank([20e-6], [0.0], [0.2], [-12.4], [0.2], [-11.0], [30e-6, 1e-7])
+    model = DeviceModel("integrated", resistance=bank, deflection=lever)
+    nominal = replace(
+        Nominal.from_parameters(model.to_parameters()), noise={TIP_DEFLECTION: NoiseModel(5e-8)}
+    )
+    current, dt, key = _drive(3000), 1e-3, f"sensor_ripple:{TIP_DEFLECTION}"
+    ripple = {key: {"amplitude": 4e-7, "pitch": pitch, "phase_angle": 1.0, "signal": TIP_DEFLECTION}}
+    shown = nominal.respond(current, dt, effects=ripple).channels[TIP_DEFLECTION]
+    channels = {HEATER_CURRENT: current, TIP_DEFLECTION: shown}
+    recording = Recording(dt * np.arange(current.size), channels, "integrated")
+    problem = linearise_problem(nominal, [prepare(recording, nominal)])
+    left = problem.apply_inverse_covariance(problem.residual)
+    found = next(h for h in hypotheses(problem, "integrated", left) if h.key == key)
+    assert found.magnitudes == ("amplitude",)
+    assert any(start["pitch"] == pytest.approx(pitch, rel=0.1) for start in found.starts)
+    assert all(found.bounds("pitch")[0] < s["pitch"] < found.bounds("pitch")[1] for s in found.starts)
 
 
 def test_what_predicts_the_rest_makes_a_name_improbable() -> None:

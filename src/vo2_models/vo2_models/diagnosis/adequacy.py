@@ -8,15 +8,17 @@ recording describes it on the others. What such functions do predict is structur
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from vo2_models.diagnosis.held_out import block_folds
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nonparametric_correction import fit_nonparametric_correction
-from vo2_models.diagnosis.pairs import Option
+from vo2_models.diagnosis.pairs import Option, trace
 from vo2_models.diagnosis.problem import LinearisedProblem
 
-__all__ = ["Adequacy", "adequacy_of"]
+__all__ = ["Adequacy", "adequacy_of", "sureness"]
 
 
 @dataclass(frozen=True)
@@ -29,12 +31,14 @@ class Adequacy:
     left : excess energy that is left, in noise powers of a sample
     own : the same that the device's own misfit is expected to leave; infinite where that is not known
     structured : of that, what functions without a name predict on held-out blocks
+    sigmas : how surely its effects act, see `sureness`; infinite where the values themselves show one
     """
 
     gain: float
     left: float
     own: float
     structured: float
+    sigmas: float
 
     @property
     def share(self) -> float:
@@ -47,9 +51,10 @@ class Adequacy:
         return self.structured / max(self.gain + self.structured, 1e-300)
 
     def sufficient(self, limits: Limits) -> bool:
-        """Whether most is explained, no more is left than the device's own misfit, and next to nothing that is predictable."""
+        """Whether it surely acts and explains most, and leaves no more than the own misfit and next to nothing predictable."""
         no_more = self.left <= self.own or self.share >= limits.thorough
-        return self.share >= limits.explained and no_more and self.open <= 1.0 - limits.complete
+        closed = self.open <= 1.0 - limits.complete
+        return self.sigmas > limits.sure and self.share >= limits.explained and no_more and closed
 
 
 def adequacy_of(option: Option, problem: LinearisedProblem, left_out: float, limits: Limits) -> Adequacy:
@@ -69,8 +74,39 @@ def adequacy_of(option: Option, problem: LinearisedProblem, left_out: float, lim
     final, gain = option.final, option.chosen.gain
     left = final.count * option.remaining
     own = final.count * max(left_out, limits.slack)
+    sigmas = np.inf if any(h.evident for h in option.chosen.hypotheses) else sureness(option)
     if option.remaining < limits.slack:  # what is left is noise, or hardly more
-        return Adequacy(gain, left, own, 0.0)
+        return Adequacy(gain, left, own, 0.0, sigmas)
     residual = final.apply_inverse_covariance(final.residual - option.chosen.deviation)
     found = fit_nonparametric_correction(final, residual, block_folds(final))
-    return Adequacy(gain, left, own, found.removed)
+    return Adequacy(gain, left, own, found.removed, sigmas)
+
+
+def sureness(option: Option) -> float:
+    """Return how surely the stretches of the recordings say together that each effect acts, in standard deviations.
+
+    With x what an effect changes beside the others and e what is left, the nuisance model taken out of both, x'x + x'e is known
+    up to the scatter of x'e. In noise this scatters by the root of x'x, which gives the root of the gain. Misfit goes on over
+    many samples: the sum of x'e over a long stretch counts once, as in White's covariance for clusters. What a misfit has of a
+    pattern, it has in some stretches and not in others. Cameron and Miller, J. Hum. Resour. 50, 317, 2015.
+
+    Parameters
+    ----------
+    option : with the problem about it
+
+    Returns
+    -------
+    of the least sure effect
+    """
+    final = option.final
+    left = final.apply_inverse_covariance(final.residual - option.chosen.deviation)
+    straight = replace(final, nuisance=replace(final.nuisance, courses=None))
+
+    def one(key: str) -> float:
+        acting = trace(final, key)
+        x = straight.apply_inverse_covariance(acting)
+        own = float(x @ acting)
+        scatter = max(float(np.sum(final.over_stretches(x * left) ** 2)), own, 1e-12)
+        return (own + float(x @ left)) / float(np.sqrt(scatter))
+
+    return min(one(key) for key in option.chosen.keys)

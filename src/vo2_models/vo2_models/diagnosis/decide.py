@@ -140,7 +140,6 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
         adequacy = adequacy_of(option, problem, located.left_out, limits)
         shown = max(shown, adequacy.share, judged.share)
         admissible = _is_admissible(option, judged, adequacy, limits)
-        admissible = admissible and _is_sure(option, limits)
         if located.own_misfit:
             admissible = admissible and _alone(option, found.singles, limits)
         rivals, remaining = option.rivals, option.remaining
@@ -260,37 +259,6 @@ def _is_admissible(option: Option, judged: HeldOut, adequacy: Adequacy, limits: 
         and not chosen.at_bound
         and not _worsens(option, judged)
     )
-
-
-def _is_sure(option: Option, limits: Limits) -> bool:
-    """Whether every effect is told from the device's own misfit; what the values themselves show needs no comparison."""
-    return any(h.evident for h in option.chosen.hypotheses) or sureness(option) > limits.sure
-
-
-def sureness(option: Option) -> float:
-    """Return how surely the stretches of the recordings say together that each effect acts, in sigmas; the least of them.
-
-    With x what an effect changes beside the others and e what is left, the nuisance model taken out of both, x'x + x'e is known
-    up to the scatter of x'e. In noise this scatters by the root of x'x, which gives the root of the gain. Misfit goes on over
-    many samples: the sum of x'e over a long stretch counts once, as in White's covariance for clusters. What a misfit has of a
-    pattern, it has in some stretches and not in others. Cameron and Miller, J. Hum. Resour. 50, 317, 2015.
-
-    Parameters
-    ----------
-    option : with the problem about it
-    """
-    final = option.final
-    left = final.apply_inverse_covariance(final.residual - option.chosen.deviation)
-    straight = replace(final, nuisance=replace(final.nuisance, courses=None))
-
-    def one(key: str) -> float:
-        acting = trace(final, key)
-        x = straight.apply_inverse_covariance(acting)
-        own = float(x @ acting)
-        scatter = max(float(np.sum(final.over_stretches(x * left) ** 2)), own, 1e-12)
-        return (own + float(x @ left)) / float(np.sqrt(scatter))
-
-    return min(one(key) for key in option.chosen.keys)
 
 
 def _reached(option: Option) -> set[str]:

@@ -37,8 +37,8 @@ ANGLE = "rad"
 """Unit of a phase, which is no magnitude: nothing is neutral about 0."""
 PITCHES = 3
 """Pitches of a ripple that are tried, those which explain most of the residual."""
-CRESTS = 1.5
-"""Least number of crests of a ripple over the values that were measured: fewer are a bend."""
+CRESTS, MOST_CRESTS = 1.5, 100
+"""Least and largest number of crests of a ripple over the values that were measured: fewer are a bend, more no start is near."""
 COARSE = 1.2
 """Noise of a converter over that of the calibration from which the converter is a new one."""
 REPEATED = 8
@@ -397,6 +397,7 @@ def _pitches(problem: LinearisedProblem, signal: str, residual: Floats, finest: 
     stride = max(1, y.size // 20_000)
     y, r = y[::stride], r[::stride] - np.mean(r)
     span = max(float(np.ptp(y)), CRESTS * finest)
+    finest = max(finest, span / MOST_CRESTS)
     per_unit = np.arange(CRESTS / span, 1.0 / finest + 0.25 / span, 0.25 / span)
     power = np.abs([r @ np.exp(-2j * np.pi * f * y) for f in per_unit])
     found: list[float] = []

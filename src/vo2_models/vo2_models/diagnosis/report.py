@@ -71,11 +71,17 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
         excess=_excess(study),
         seconds=study.seconds,
         decision_limits=study.limits.with_provenance(),
-        adequacy={"explained": decision.adequacy.share, "predictable": decision.adequacy.open}
-        if decision.adequacy
-        else {},
+        adequacy=_adequacy(study),
         own_misfit=_own_misfit(study),
     )
+
+
+def _adequacy(study: Study) -> dict[str, float]:
+    found = study.decision.adequacy
+    if found is None:
+        return {}
+    told = {"explained": found.share, "predictable": found.open}
+    return told | ({"sigmas": found.sigmas} if np.isfinite(found.sigmas) else {})
 
 
 def _own_misfit(study: Study) -> dict[str, dict[str, float]]:
