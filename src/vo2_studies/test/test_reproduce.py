@@ -15,10 +15,13 @@ from vo2_studies.reproduce import chapter8, main
 from vo2_studies.reproduce.claims import (
     Claim,
     Context,
+    Figure,
     Section,
     Table,
+    above,
     at_least,
     at_most,
+    below,
     between,
     tally,
     within,
@@ -56,6 +59,8 @@ KEYS = {"id", "section", "claim", "published", "ours", "unit", "met"}
         (between(0.75, 0.9), 0.9, 0.74),
         (at_most(1.0), 1.0, 1.01),
         (at_least(1.0), 1.0, 0.99),
+        (above(1.0), 1.01, 1.0),
+        (below(1.0, "below 1"), 0.99, 1.0),
     ],
 )
 def test_rules(rule, met, not_met):
@@ -215,6 +220,36 @@ def test_interrupt_keeps_the_sections_that_are_done(tmp_path, by):
     status, said = _interrupted([*arguments, "--draws", "50"], "8.4    ", by)
     assert status == 130 and "interrupted in 8.4" in said and "Traceback" not in said
     assert {r["section"][:3] for r in json.loads((tmp_path / "reproduction.json").read_text())} == {"8.3"}
+
+
+def test_the_same_command_continues_with_the_sections_that_are_finished(tmp_path, capsys, monkeypatch):
+    runs = []
+
+    def found(context):
+        runs.append(context.seed)
+        claims = (
+            Claim("2.4.a", "2.4", "x", 2.0, np.float64(1.9), "1", within(2.0, 0.1), derived=True),
+            Claim("2.4.b", "2.4", "y", None, math.nan, "1", above(np.int64(1))),
+        )
+        story = ("told", Table("caption", ("a", "b"), (("1", "2"),)), Figure("drawn", "<svg/>"))
+        return Section("2.4", "T", claims, (Figure("c", "<svg/>"),), ("remark",), story)
+
+    module = _module("2.4")
+    monkeypatch.setattr(module, "run", found)
+    command = ["--only", "2.4", "--output", str(tmp_path)]
+
+    def outcome(*more):
+        assert main([*command, *more]) == 0
+        said = capsys.readouterr()
+        return said.out, (tmp_path / "reproduction.html").read_text(), "kept" in said.err
+
+    first, again = outcome(), outcome()
+    assert runs == [1] and (first[2], again[2]) == (False, True)
+    assert again[:2] == first[:2]
+    outcome("--seed", "2")
+    monkeypatch.setattr("vo2_studies.reproduce.kept.code_digest", lambda: "of other sources")
+    outcome("--seed", "2")
+    assert runs == [1, 2, 2]
 
 
 def test_interrupt_ends_the_processes_of_a_pool_quietly():

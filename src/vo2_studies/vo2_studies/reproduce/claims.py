@@ -15,8 +15,10 @@ __all__ = [
     "Section",
     "Table",
     "Tally",
+    "above",
     "at_least",
     "at_most",
+    "below",
     "between",
     "tally",
     "within",
@@ -27,49 +29,63 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Rule:
-    """When a claim counts as met: a sentence for the reader and the test."""
+    """When a claim counts as met: a sentence for the reader, and the interval that ours must lie in.
+
+    Attributes
+    ----------
+    low, high : ends, which belong to the interval; None where there is none
+    """
 
     text: str
-    holds: Callable[[float], bool]
+    low: float | None = None
+    high: float | None = None
+
+    def holds(self, ours: float) -> bool:
+        """Whether a value lies in the interval."""
+        return (self.low is None or ours >= self.low) and (self.high is None or ours <= self.high)
 
 
 def within(published: float, fraction: float) -> Rule:
     """Met if ours is within a fraction of the published value."""
-    return Rule(
-        f"within {100 * fraction:g} % of {published:g}",
-        lambda ours: abs(ours - published) <= fraction * abs(published),
-    )
+    distance = fraction * abs(published)
+    return Rule(f"within {100 * fraction:g} % of {published:g}", published - distance, published + distance)
 
 
 def within_or_below(published: float, fraction: float) -> Rule:
     """Met if ours is within a fraction of the published value, or smaller: what is better smaller."""
-    return Rule(
-        f"within {100 * fraction:g} % of {published:g}, or smaller",
-        lambda ours: ours - published <= fraction * abs(published),
-    )
+    text = f"within {100 * fraction:g} % of {published:g}, or smaller"
+    return Rule(text, high=published + fraction * abs(published))
 
 
 def within_or_above(published: float, fraction: float) -> Rule:
     """Met if ours is within a fraction of the published value, or larger: what is better larger."""
-    return Rule(
-        f"within {100 * fraction:g} % of {published:g}, or larger",
-        lambda ours: published - ours <= fraction * abs(published),
-    )
+    text = f"within {100 * fraction:g} % of {published:g}, or larger"
+    return Rule(text, low=published - fraction * abs(published))
 
 
 def between(low: float, high: float) -> Rule:
     """Met if ours lies between two limits."""
-    return Rule(f"{low:g} to {high:g}", lambda ours: low <= ours <= high)
+    return Rule(f"{low:g} to {high:g}", low, high)
 
 
 def at_most(limit: float) -> Rule:
     """Met if ours is not larger."""
-    return Rule(f"at most {limit:g}", lambda ours: ours <= limit)
+    return Rule(f"at most {limit:g}", high=limit)
 
 
 def at_least(limit: float) -> Rule:
     """Met if ours is not smaller."""
-    return Rule(f"at least {limit:g}", lambda ours: ours >= limit)
+    return Rule(f"at least {limit:g}", low=limit)
+
+
+def above(limit: float) -> Rule:
+    """Met if ours is larger."""
+    return Rule(f"above {limit:g}", low=math.nextafter(limit, math.inf))
+
+
+def below(limit: float, text: str) -> Rule:
+    """Met if ours is smaller; the limit needs words of its own."""
+    return Rule(text, high=math.nextafter(limit, -math.inf))
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from vo2_models.identification.excitation import random_levels
 from vo2_models.recording import RESISTANCE
 from vo2_models.self_sensing import CompositeSelfSensing, PolynomialSelfSensing, SelfSensing, self_sensing
 
-from vo2_studies.reproduce.claims import Claim, Context, Rule, Section, at_most, within_or_below
+from vo2_studies.reproduce.claims import Claim, Context, Rule, Section, at_most, below, within_or_below
 from vo2_studies.reproduce.figures import draw
 from vo2_studies.reproduce.identified import identify
 from vo2_studies.reproduce.pool import run_many
@@ -273,7 +273,7 @@ def run(context: Context) -> Section:
 
 def _surely_below_one(half: float) -> Rule:
     """Met if the whole confidence interval is below 1."""
-    return Rule("upper end of the confidence interval below 1", lambda ours: ours + half < 1.0)
+    return below(1.0 - half, "upper end of the confidence interval below 1")
 
 
 def _half(values: Floats) -> float:

@@ -34,9 +34,9 @@ from vo2_studies.reproduce.claims import (
     Claim,
     Context,
     Figure,
-    Rule,
     Section,
     Table,
+    above,
     at_least,
     between,
     within,
@@ -288,7 +288,7 @@ def _claims(without: Compared, with_it: Compared, diagnoses: Mapping[str, Diagno
         Claim("8.4.1.order", "8.4.1", "Steady-state error: H-infinity below the PID", 1.0,
               float(merits["steps", "H-infinity"].steady_um < merits["steps", "PID"].steady_um), "1", at_least(1.0), basis),
         Claim("8.4.2.ratio_without", "8.4.2", "The same devices with the width difference removed: ratio of the RMSE", None,
-              float(np.mean(without.ratios["multi"])), "1", _above(1.0), basis),
+              float(np.mean(without.ratios["multi"])), "1", above(1.0), basis),
         Claim("8.4.2.turned", "8.4.2", "Draws of which the difference turns the comparison round", None,
               float(np.sum((without.ratios["multi"] > 1) & (with_it.ratios["multi"] < 1))), "1", at_least(DRAWS), basis),
     ]  # fmt: skip
@@ -299,10 +299,6 @@ def _claims(without: Compared, with_it: Compared, diagnoses: Mapping[str, Diagno
                   float(first == EFFECT), "1", at_least(1.0), f"named first: {first}; first proof draw, {DIFFERENCE_K:g} K")
         )  # fmt: skip
     return claims
-
-
-def _above(limit: float) -> Rule:
-    return Rule(f"above {limit:g}", lambda ours: ours > limit)
 
 
 def _amplitudes(result: LoopResult) -> np.ndarray:
