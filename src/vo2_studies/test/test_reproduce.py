@@ -7,11 +7,12 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from vo2_control.pid import PUBLISHED_PELTIER_PID, pid_law
-from vo2_studies.reproduce import chapter8, main
+from vo2_studies.reproduce import chapter8, kept, main
 from vo2_studies.reproduce.claims import (
     Claim,
     Context,
@@ -247,9 +248,22 @@ def test_the_same_command_continues_with_the_sections_that_are_finished(tmp_path
     assert runs == [1] and (first[2], again[2]) == (False, True)
     assert again[:2] == first[:2]
     outcome("--seed", "2")
-    monkeypatch.setattr("vo2_studies.reproduce.kept.code_digest", lambda: "of other sources")
+    monkeypatch.setattr("vo2_studies.reproduce.kept.code_digest", lambda module: "of other sources")
     outcome("--seed", "2")
     assert runs == [1, 2, 2]
+
+
+def test_what_a_section_is_computed_by_is_its_own_file_what_it_imports_and_everything_beside_the_sections(
+    monkeypatch,
+):
+    one, importing, other = (_module(number) for number in ("7", "7.4.1", "8.3"))
+    before = {module: kept.code_digest(module) for module in (one, importing, other)}
+    files = dict(kept._digests())
+    files[Path(one.__file__)] = b"edited"
+    monkeypatch.setattr(kept, "_digests", lambda: files)
+    assert [kept.code_digest(m) != before[m] for m in before] == [True, True, False]
+    files[Path(chapter8.__file__)] = b"edited"
+    assert kept.code_digest(other) != before[other]
 
 
 def test_interrupt_ends_the_processes_of_a_pool_quietly():

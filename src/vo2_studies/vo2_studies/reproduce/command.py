@@ -92,7 +92,7 @@ def _run_sections(wanted: Sequence[ModuleType], options: argparse.Namespace, out
     done: list[Section] = []
     total = 0.0
     for module in wanted:
-        earlier = kept(folder, module.NUMBER, settings)
+        earlier = kept(folder, module, settings)
         begun = time.monotonic()
         progress = Progress("reproduce")
         context = Context(
@@ -107,7 +107,7 @@ def _run_sections(wanted: Sequence[ModuleType], options: argparse.Namespace, out
             section = earlier[0] if earlier else module.run(context)
             seconds = earlier[1] if earlier else time.monotonic() - begun
             if not earlier:
-                keep(folder, section, settings, seconds)
+                keep(folder, module, section, settings, seconds)
         except KeyboardInterrupt:
             print(
                 f"\nreproduce: interrupted in {module.NUMBER}; {len(done)} of {len(wanted)} sections are finished and kept, the "

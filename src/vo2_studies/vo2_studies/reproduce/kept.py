@@ -5,11 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import asdict
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 
 from vo2_models.io import write_whole
 
@@ -27,28 +29,50 @@ _PACKAGES = (
     "vo2_studies",
 )
 _SOURCES = {".py", ".yaml", ".json", ".csv"}
+_IMPORTED = re.compile(r"reproduce\.sections\.(\w+)")
 
 
-@cache
-def code_digest() -> str:
-    """SHA-256 of every source and parameter file of the packages that a section may run."""
+def code_digest(module: ModuleType) -> str:
+    """SHA-256 of every source and parameter file that a section may depend on.
+
+    That is everything in the packages but the other sections that it does not import, and what only shows a section.
+    """
+    own = Path(str(module.__file__))
+    used = {own.name, *(f"{name}.py" for name in _IMPORTED.findall(own.read_text(encoding="utf-8")))}
     digest = hashlib.sha256()
-    for package in _PACKAGES:
-        found = find_spec(package)
-        for place in (found.submodule_search_locations or ()) if found else ():
-            root = Path(place)
-            for path in sorted(p for p in root.rglob("*") if p.suffix in _SOURCES):
-                content = path.read_bytes()
-                digest.update(f"{package}/{path.relative_to(root)} {len(content)}\n".encode())
-                digest.update(content)
+    for path, of_file in _digests().items():
+        if (path.parent == own.parent and path.name not in used) or path in _shown(own):
+            continue
+        digest.update(of_file)
     return digest.hexdigest()
 
 
-def keep(folder: Path, section: Section, settings: Mapping[str, int], seconds: float) -> None:
+def _shown(section: Path) -> set[Path]:
+    return {section.parents[1] / name for name in ("command.py", "kept.py", "page.py")}
+
+
+@cache
+def _digests() -> dict[Path, bytes]:
+    """Every source of the packages, in a fixed order -> digest of its place and content."""
+    found = {}
+    for package in _PACKAGES:
+        spec = find_spec(package)
+        for place in (spec.submodule_search_locations or ()) if spec else ():
+            root = Path(place)
+            for path in sorted(p for p in root.rglob("*") if p.suffix in _SOURCES):
+                name = f"{package}/{path.relative_to(root)}\n".encode()
+                found[path] = hashlib.sha256(name + path.read_bytes()).digest()
+    return found
+
+
+def keep(
+    folder: Path, module: ModuleType, section: Section, settings: Mapping[str, int], seconds: float
+) -> None:
     """Write a finished section into `folder`.
 
     Parameters
     ----------
+    module : of the section
     settings : what it depends on, besides the code
     seconds : how long it took
 
@@ -61,22 +85,22 @@ def keep(folder: Path, section: Section, settings: Mapping[str, int], seconds: f
     for claim in content["claims"]:
         claim["ours"] = float(claim["ours"]) if math.isfinite(claim["ours"]) else None
     content["story"] = [{"text": part} if isinstance(part, str) else asdict(part) for part in section.story]
-    whole = {"code": code_digest(), "settings": dict(settings), "seconds": seconds, "section": content}
+    whole = {"code": code_digest(module), "settings": dict(settings), "seconds": seconds, "section": content}
     write_whole(
         _place(folder, section.number), json.dumps(whole, indent=1, allow_nan=False, default=float) + "\n"
     )
 
 
-def kept(folder: Path, number: str, settings: Mapping[str, int]) -> tuple[Section, float] | None:
+def kept(folder: Path, module: ModuleType, settings: Mapping[str, int]) -> tuple[Section, float] | None:
     """Return a section that an earlier run finished, and how long it took [s]; None if there is none to be used.
 
     One of other code or other settings is not used.
     """
-    place = _place(folder, number)
+    place = _place(folder, module.NUMBER)
     if not place.is_file():
         return None
     whole = json.loads(place.read_text(encoding="utf-8"))
-    if whole["code"] != code_digest() or whole["settings"] != dict(settings):
+    if whole["code"] != code_digest(module) or whole["settings"] != dict(settings):
         return None
     return _section(whole["section"]), float(whole["seconds"])
 
