@@ -63,6 +63,32 @@ def test_tables_of_a_model_file_that_do_not_rise_or_do_not_fit_are_one_line(chan
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    ("name", "change", "said"),
+    [
+        ("radii", lambda r: r[::-1], "model.resistance.radii: found .* after .* at index 1, need ascending radii"),
+        ("radii", lambda r: [-0.1, *r[1:]], "model.resistance.radii: found -0.1 at index 0, need values >= 0"),
+        ("rising_slopes", lambda s: [-s[0], *s[1:]], "model.resistance.rising_slopes: found -.* at index 0, need slopes above 0"),
+        ("falling_slopes", lambda s: [*s[:-1], 0.0], "model.resistance.falling_slopes: found 0 at index 11, need slopes above 0"),
+    ],
+)  # fmt: skip
+def test_plays_that_are_not_monotonic_are_one_line_wherever_a_model_is_read(name, change, said):
+    parameters = load_model_parameters(FOLDER / "tables_7_1_and_7_2.yaml")
+    parameters[f"model.resistance.{name}"] = change(list(parameters[f"model.resistance.{name}"]))
+    for read in (DeviceModel.from_parameters, lambda p: self_sensing("composite", p)):
+        with pytest.raises(ValueError, match=said) as refused:
+            read(parameters)
+        assert "\n" not in str(refused.value)
+
+
+def test_a_grid_that_does_not_rise_is_one_line_when_a_model_is_read():
+    parameters = load_model_parameters(FOLDER / "tables_7_1_and_7_2.yaml")
+    grid = {"law": "preisach", "walls": [0.0, 2.0, 1.0], "density": [1.0] * 3, "bias": 0.0}
+    kept = {k: v for k, v in parameters.items() if not k.startswith("model.resistance.")}
+    with pytest.raises(ValueError, match=r"model.resistance.walls: found 1 after 2 at index 2"):
+        DeviceModel.from_parameters(kept | {f"model.resistance.{k}": v for k, v in grid.items()})
+
+
 @pytest.mark.slow
 def test_the_files_are_what_the_command_writes(tmp_path):
     assert main(["--output", str(tmp_path)]) == 0

@@ -22,6 +22,7 @@ from vo2_studies.reproduce.claims import (
     above,
     at_least,
     at_most,
+    baseline,
     below,
     between,
     tally,
@@ -52,6 +53,7 @@ KEYS = {"id", "section", "claim", "published", "ours", "unit", "met"}
         (within(2.0, 0.1), 2.19, 2.21),
         (within(2.0, 0.1), 1.81, 1.79),
         (within(-2.0, 0.1), -2.19, -2.21),
+        (baseline(2.0), 1.61, 1.59),
         (within_or_below(2.0, 0.1), 2.19, 2.21),
         (within_or_below(2.0, 0.1), 0.1, 2.21),
         (within_or_above(2.0, 0.1), 1.81, 1.79),
@@ -120,6 +122,16 @@ def test_what_the_text_contradicts_is_neither_met_nor_missed():
     assert str(tally(claims)).startswith("3 published values: 1 met, 1 missed, 1 contradicted")
     derived = Claim("e", "8", "x", 1.0, 1.0, "1", within(1.0, 0.1), derived=True)
     assert derived.state == "consistent" and tally([*claims, derived]).met == 1
+    given = [
+        Claim("f", "8", "x", 1.0, 1.0, "1", within(1.0, 0.1), given=True),
+        Claim("g", "8", "x", 1.0, 2.0, "1", within(1.0, 0.1), given=True),
+        Claim("h", "8", "x", 1.0, 1.0, "1", within(1.0, 0.1), contradicted="the table says 2", given=True),
+    ]
+    assert [claim.state for claim in given] == ["given", "missed", "contradicted"]
+    assert str(tally([*claims, *given])).startswith(
+        "4 published values: 1 met, 1 missed, 2 contradicted by the text itself; "
+        "2 figures were set or fitted to the printed ones (1 of them not reached)"
+    )
     story = ("told <b>", Table("caption", ("tried", "ratio"), (("this & that", "0.82"),)))
     text = page([Section("8", "T", tuple(claims), story=story)], command="x", seconds=1.0)
     assert "told &lt;b&gt;" in text and "this &amp; that" in text and "the table says 2" in text
@@ -308,6 +320,12 @@ def test_iterations_of_the_fixed_point_inverse_follow_the_tolerance():
     claims = {claim.id: claim for claim in chapter_6._iterations(7)[0]}
     fine, coarse = claims["6.4.1.iterations_0.0001"], claims["6.4.1.iterations_0.01"]
     assert fine.met and coarse.met and coarse.ours < fine.ours
+
+
+def test_the_range_of_the_condition_is_the_widest_interval_on_which_it_holds():
+    assert chapter_6._widest(lambda low, high: low >= 40 and high <= 60.5) == (40.0, 60.0)
+    low, high = chapter_6._widest(lambda low, high: False)
+    assert low == high
 
 
 def test_own_comparison_runs_every_loop_and_judges_by_the_reference():

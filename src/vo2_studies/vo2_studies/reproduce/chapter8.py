@@ -35,6 +35,7 @@ __all__ = [
     "DIFFERENCE_K",
     "EFFECT",
     "FITTED",
+    "FITTED_MERITS",
     "LAWS",
     "PROOF_SEED",
     "Fitted",
@@ -61,6 +62,8 @@ FITTED = {
     "steady": 1.11,  # PID, Table 8.2 [um]
     "rmse": 1.24,  # PID, Table 8.3 [um]
 }
+FITTED_MERITS = {("multi", "PID", "rmse"), ("multi", "PID", "effort"), ("steps", "PID", "steady")}
+"""Those of section 8.4 among them: (experiment, law, figure of merit)."""
 DEVELOPMENT_SEEDS = tuple(range(9001, 9013))
 PROOF_SEED = 30_000
 """Added to a context's seed: devices that nothing was fitted to or chosen on."""

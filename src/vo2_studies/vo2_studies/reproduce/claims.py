@@ -18,6 +18,7 @@ __all__ = [
     "above",
     "at_least",
     "at_most",
+    "baseline",
     "below",
     "between",
     "tally",
@@ -63,6 +64,11 @@ def within_or_above(published: float, fraction: float) -> Rule:
     return Rule(text, low=published - fraction * abs(published))
 
 
+def baseline(published: float) -> Rule:
+    """Met if what a proposal is compared with is about as good as published: a better one reproduces nothing."""
+    return within(published, 0.2)
+
+
 def between(low: float, high: float) -> Rule:
     """Met if ours lies between two limits."""
     return Rule(f"{low:g} to {high:g}", low, high)
@@ -104,6 +110,7 @@ class Claim:
     conditions : under which ours was found
     contradicted : what in the published text contradicts this claim; empty where nothing does
     derived : whether ours comes from other printed figures, which is no reproduction; counted apart
+    given : whether ours was set or fitted to the published value, which is no reproduction either; counted apart
     """
 
     id: str
@@ -116,13 +123,16 @@ class Claim:
     conditions: str = ""
     contradicted: str = ""
     derived: bool = False
+    given: bool = False
 
     @property
     def state(self) -> str:
-        """`contradicted`, `met` or `missed`; `consistent` for a derived figure that follows from the others."""
+        """`contradicted`, `met` or `missed`; for what is no reproduction `consistent` (derived) or `given` in place of `met`."""
         if self.contradicted:
             return "contradicted"
-        return "missed" if not self.met else "consistent" if self.derived else "met"
+        return (
+            "missed" if not self.met else "consistent" if self.derived else "given" if self.given else "met"
+        )
 
     @property
     def met(self) -> bool:
@@ -140,6 +150,8 @@ class Claim:
             "unit": self.unit,
             "met": self.met,
             "state": self.state,
+            "derived": self.derived,
+            "given": self.given,
             "contradicted": self.contradicted,
             "rule": self.rule.text,
             "conditions": self.conditions,
@@ -187,6 +199,7 @@ class Tally:
     Attributes
     ----------
     consistent, inconsistent : figures that the text derives from others, and those of them that do not follow
+    given, given_missed : printed figures that ours was set or fitted to, and those of them that were not reached
     """
 
     met: int
@@ -196,6 +209,8 @@ class Tally:
     own: int
     consistent: int = 0
     inconsistent: int = 0
+    given: int = 0
+    given_missed: int = 0
 
     def __str__(self) -> str:
         published = self.met + self.missed + self.contradicted
@@ -207,6 +222,11 @@ class Tally:
             parts.append(
                 f"{self.consistent} figures that the text derives follow from its others, {self.inconsistent} do not"
             )
+        if self.given + self.given_missed:
+            missed = f" ({self.given_missed} of them not reached)" if self.given_missed else ""
+            parts.append(
+                f"{self.given + self.given_missed} figures were set or fitted to the printed ones{missed}"
+            )
         if self.own:
             parts.append(f"of {self.own} claims of our own {self.own_met} met")
         return "; ".join(parts)
@@ -216,7 +236,12 @@ def tally(claims: Iterable[Claim]) -> Tally:
     """Count claims by their state."""
     claims = list(claims)
     derived = [c.state for c in claims if c.derived]
-    published = [c.state for c in claims if c.published is not None and not c.derived]
+    given = [c.state for c in claims if c.given and not c.contradicted]
+    published = [
+        c.state
+        for c in claims
+        if c.published is not None and not c.derived and (c.contradicted or not c.given)
+    ]
     own = [c.met for c in claims if c.published is None]
     return Tally(
         met=published.count("met"),
@@ -226,6 +251,8 @@ def tally(claims: Iterable[Claim]) -> Tally:
         own=len(own),
         consistent=derived.count("consistent"),
         inconsistent=len(derived) - derived.count("consistent"),
+        given=given.count("given"),
+        given_missed=len(given) - given.count("given"),
     )
 
 

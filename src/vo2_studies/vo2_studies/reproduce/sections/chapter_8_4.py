@@ -22,6 +22,7 @@ from vo2_studies.reproduce.chapter8 import (
     DEVICE,
     DIFFERENCE_K,
     EFFECT,
+    FITTED_MERITS,
     LAWS,
     PROOF_SEED,
     device,
@@ -42,7 +43,7 @@ from vo2_studies.reproduce.claims import (
     within,
 )
 from vo2_studies.reproduce.figures import draw
-from vo2_studies.reproduce.peltier import EXPERIMENTS, PERIOD_S, Conditions, Merit, calibrate
+from vo2_studies.reproduce.peltier import EXPERIMENTS, MERIT_WORDS, PERIOD_S, Conditions, Merit, calibrate
 
 NUMBER, TITLE = "8.4", "Published H-infinity and PID designs: why the comparison turns round in simulation"
 
@@ -61,15 +62,7 @@ _PUBLISHED = {
     ("noise", "PID"): (1.47, 4.28, np.nan, 33.6),
     ("noise", "H-infinity"): (0.96, 3.07, np.nan, 31.6),
 }
-_WORDS = (
-    # field of `Merit`, name, words, unit, distance within which a claim is met
-    ("rmse_um", "rmse", "RMSE", "um", 0.2),
-    ("largest_um", "largest", "Largest error", "um", 0.3),
-    ("steady_um", "steady", "Mean steady-state error", "um", 0.4),
-    ("effort_ma", "effort", "Control effort, s.d. of the current", "mA", 0.2),
-)
 _RATIO = {"steps": within(0.963, 0.1), "multi": between(0.75, 0.90), "noise": within(0.653, 0.1)}
-_FITTED = {("multi", "PID", "rmse"), ("multi", "PID", "effort"), ("steps", "PID", "steady")}
 _TONES_HZ = (0.001, 0.005, 0.01)
 
 Merits = Mapping[tuple[str, str], Merit]
@@ -152,10 +145,14 @@ def run(context: Context) -> Section:
     story: tuple[str | Table | Figure, ...] = (
         "Section 8.4 reports that H-infinity beats the PID on the rig. With the published controllers on a simulated device "
         "that has everything the chapter's model has, it is the other way round:",
-        _table("Without the difference of the loop widths", without),
+        _table("Without the difference of the loop widths", without, with_difference=False),
         *_said(diagnoses),
         "With it, the same devices, the same controllers and the same noise:",
-        _table(f"With the structural loop {-DIFFERENCE_K:g} K narrower than the metallic one", with_it),
+        _table(
+            f"With the structural loop {-DIFFERENCE_K:g} K narrower than the metallic one: all but what is marked is predicted",
+            with_it,
+            with_difference=True,
+        ),
         "Why: the H-infinity design has no integral action and lags behind the estimate. Where deflection leads resistance on "
         "both branches, that lag cancels the bias of the self-sensed signal, while the PID follows the biased estimate "
         "exactly. 8.4.1 says as much: the PID is better on the self-sensed deflection, H-infinity on the actual one at every "
@@ -179,16 +176,21 @@ def run(context: Context) -> Section:
     return Section(NUMBER, TITLE, tuple(claims), _figures(with_it.runs), remarks, story)
 
 
-def _table(caption: str, compared: Compared) -> Table:
-    """Published against simulated, figure by figure and ratio by ratio."""
+def _table(caption: str, compared: Compared, *, with_difference: bool) -> Table:
+    """Published against simulated, figure by figure and ratio by ratio; with the difference three figures are fitted."""
     rows = []
     for kind in EXPERIMENTS:
-        for field, _, words, unit, _ in _WORDS:
-            theirs = [_PUBLISHED[kind, name][[w[0] for w in _WORDS].index(field)] for name in LAWS]
+        for field, short, words, unit, _ in MERIT_WORDS:
+            theirs = [_PUBLISHED[kind, name][[w[0] for w in MERIT_WORDS].index(field)] for name in LAWS]
             if np.isfinite(theirs).all():
                 ours = [getattr(compared.merits[kind, name], field) for name in LAWS]
+                fitted = (
+                    " (fitted)" if with_difference and (kind, name, short) in FITTED_MERITS else ""
+                    for name in LAWS
+                )
                 rows.append((
-                    _SECTION[kind], f"{words} [{unit}]", *(f"{x:.3g}" for x in (*theirs, *ours)),
+                    _SECTION[kind], f"{words} [{unit}]", *(f"{x:.3g}" for x in theirs),
+                    *(f"{x:.3g}{mark}" for x, mark in zip(ours, fitted, strict=True)),
                     f"{theirs[1] / theirs[0]:.2f}", f"{ours[1] / ours[0]:.2f}",
                 ))  # fmt: skip
     head = (
@@ -237,13 +239,13 @@ def _claims(without: Compared, with_it: Compared, diagnoses: Mapping[str, Diagno
     )
     claims = []
     for (kind, law), values in _PUBLISHED.items():
-        for (field, short, words, unit, distance), theirs in zip(_WORDS, values, strict=True):
+        for (field, short, words, unit, distance), theirs in zip(MERIT_WORDS, values, strict=True):
             if np.isfinite(theirs):
-                fitted = (kind, law, short) in _FITTED
+                fitted = (kind, law, short) in FITTED_MERITS
                 claims.append(
                     Claim(f"{_SECTION[kind]}.{law.lower()}.{short}", _SECTION[kind],
                           f"{words}, {law}{' (FITTED, on other draws)' if fitted else ''}", theirs,
-                          float(getattr(with_it.merits[kind, law], field)), unit, within(theirs, distance), basis)
+                          float(getattr(with_it.merits[kind, law], field)), unit, within(theirs, distance), basis, given=fitted)
                 )  # fmt: skip
     for kind in EXPERIMENTS:
         theirs = _PUBLISHED[kind, "H-infinity"][0] / _PUBLISHED[kind, "PID"][0]
