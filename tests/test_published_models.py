@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from vo2_identification.compress import main as compress
 from vo2_models.device.model import DeviceModel
 from vo2_models.hysteresis import EGPI, Cosine
 from vo2_models.identification.excitation import damped_oscillation
@@ -111,3 +112,15 @@ def test_a_folder_that_is_a_file_is_one_line(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert main(["--output", str(tmp_path / "file")]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_the_printed_tables_can_be_compressed(tmp_path):
+    """Table 7.2's envelopes cross by 0.02: a law that the plant runs is a law that `compress` takes."""
+    small = tmp_path / "small.yaml"
+    assert (
+        compress(["--model", str(FOLDER / "tables_7_1_and_7_2.yaml"), "--plays", "3", "--output", str(small)])
+        == 0
+    )
+    model = DeviceModel.load(small)
+    assert np.size(model.deflection.weights) == np.size(model.resistance.weights) == 3
+    assert self_sensing("composite", load_model_parameters(small)).initial_state() is not None

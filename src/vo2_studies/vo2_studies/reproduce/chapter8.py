@@ -39,16 +39,20 @@ __all__ = [
     "LAWS",
     "PROOF_SEED",
     "Fitted",
+    "Merits",
     "calibration_slope",
     "device",
     "fit",
     "laws",
     "mean_merit",
     "means",
+    "ratio",
     "run_law",
 ]
 
 Floats = NDArray[np.float64]
+Merits = Mapping[tuple[str, str], Merit]
+"""(experiment, law) -> figures of merit."""
 
 DEVICE = "peltier_chapter8"
 EFFECT = "loop_width_difference"
@@ -198,6 +202,11 @@ def means(
         for kind, name in found:
             found[kind, name].append(run_law(kind, one, calibration, both[name], seed, conditions)[0])
     return {key: mean_merit(merits) for key, merits in found.items()}
+
+
+def ratio(merits: Merits, kind: str = "multi") -> float:
+    """RMSE of H-infinity over that of the PID."""
+    return merits[kind, "H-infinity"].rmse_um / merits[kind, "PID"].rmse_um
 
 
 def mean_merit(merits: Sequence[Merit]) -> Merit:
