@@ -86,6 +86,7 @@ def test_page_escapes_and_says_what_is_not_met():
         "&lt;script&gt;" in text
         and "<script>" not in text
         and ">missed<" in text
+        and ">8</td>" in text
         and "1 published values: 0 met, 1 missed" in text
     )
 
