@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from vo2_control.pid import PUBLISHED_PELTIER_PID, pid_law
-from vo2_studies.reproduce import chapter8, kept, main
+from vo2_studies.reproduce import candidates, chapter8, kept, main
 from vo2_studies.reproduce.claims import (
     Claim,
     Context,
@@ -38,11 +38,12 @@ from vo2_studies.reproduce.peltier import (
     NOISE_A,
     PERIOD_S,
     Conditions,
+    Merit,
     current_noise,
     reference,
 )
 from vo2_studies.reproduce.pool import run_many
-from vo2_studies.reproduce.sections import chapter_6, chapter_8_own, chapter_8_robustness
+from vo2_studies.reproduce.sections import arithmetic, chapter_6, chapter_8_own, chapter_8_robustness
 
 KEYS = {"id", "section", "claim", "published", "ours", "unit", "met"}
 
@@ -148,6 +149,23 @@ def test_a_narrower_structural_loop_turns_the_published_comparison_round():
     assert 0.7 < ratios[0] < 0.95 and ratios[1] > 1.1
 
 
+@pytest.mark.parametrize(("steps_um", "said"), [(6.28, "explains them all"), (5.0, "none explains them all")])
+def test_a_candidate_explains_what_does_not_fit_only_if_it_meets_every_figure(steps_um, said, monkeypatch):
+    nan = math.nan
+    found = {
+        ("steps", "PID"): Merit(steps_um, nan, 1.11, nan, nan),
+        ("steps", "H-infinity"): Merit(6.05, nan, 0.62, nan, nan),
+        ("multi", "PID"): Merit(1.24, 3.0, nan, 49.1, nan),
+        ("multi", "H-infinity"): Merit(1.02, 3.07, nan, 48.2, nan),
+        ("noise", "PID"): Merit(1.47, 4.28, nan, 33.6, nan),
+        ("noise", "H-infinity"): Merit(0.96, 3.07, nan, 31.6, nan),
+    }
+    monkeypatch.setattr(candidates, "means", lambda seeds, kinds, **settings: found)
+    table, sentence = candidates.unexplained()
+    assert said in sentence and table.rows[1][-1] == ("5 of 5" if steps_um == 6.28 else "4 of 5")
+    assert table.rows[0][:6] == ("published", "0.82", "0.65", "+18.6", "33.6", "6.28")
+
+
 def test_the_chapter_8_device_is_its_file_unless_something_is_replaced():
     shipped, other = chapter8.device(1, 0.0), chapter8.device(1, 0.0, transition=(4.0, 2.0))
     same = chapter8.device(1, 0.0, body={"time_constant": 25.0})
@@ -174,6 +192,11 @@ def test_bad_arguments_end_with_one_line(tmp_path, capsys):
     assert main(["--only", "8.3", "--output", str(blocked / "x")]) == 2
     assert "that may be written into" in capsys.readouterr().err
     assert main(["--draws", "0"]) == 2
+
+
+def test_what_the_pid_was_tuned_for_contradicts_the_printed_gains():
+    overshoot, settling = arithmetic.nominal_step()
+    assert overshoot == pytest.approx(2.69, abs=0.05) and settling > 10 > arithmetic.nominal_step(0.05)[1]
 
 
 def test_sections_are_complete_and_unique():

@@ -47,7 +47,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(
         prog="reproduce",
-        description="Published figures of the dissertation beside ours: one page, one JSON file.",
+        description="Published figures of the dissertation beside ours: one page, one JSON file. Finished sections are kept "
+        "in the folder: after an interruption the same command continues.",
     )
     parser.add_argument(
         "--only", metavar="SECTION", action="append", help="for instance 8, 8.4 or 8.4.1; repeatable"
