@@ -322,6 +322,32 @@ def test_pool_keeps_the_order_whatever_the_number_of_processes():
     assert run_many(abs, jobs, 1, lambda n: None) == run_many(abs, jobs, 2, lambda n: None) == jobs
 
 
+_WORKED = []
+
+
+def _negative_or_interrupted(job):
+    _WORKED.append(job)
+    if job == 3 and _WORKED.count(3) == 1:
+        raise KeyboardInterrupt
+    return -float(job)
+
+
+def test_devices_that_are_finished_are_not_computed_again(tmp_path):
+    _WORKED.clear()
+    context = Context(folder=tmp_path, code="one")
+    finished = context.finished("8.6", lambda found: [found], lambda row: row[0])
+    with pytest.raises(KeyboardInterrupt):
+        run_many(_negative_or_interrupted, range(5), 1, lambda n: None, finished)
+    with finished.place.open("a") as file:
+        file.write("[-3.")  # as a loss of power leaves it
+    told = []
+    assert run_many(_negative_or_interrupted, range(5), 1, told.append, finished) == [0, -1, -2, -3, -4]
+    assert _WORKED == [0, 1, 2, 3, 3, 4] and told == [4, 5]
+    other = Context(folder=tmp_path, code="another").finished("8.6", finished.encode, finished.decode)
+    assert run_many(abs, range(-2, 0), 2, lambda n: None, other) == [2, 1]
+    assert other.read() == [2, 1]
+
+
 def _module(number):
     return next(m for m in section_modules() if number == m.NUMBER)
 
@@ -364,5 +390,8 @@ def test_own_comparison_runs_every_loop_and_judges_by_the_reference():
     # feedforward that crosses the loop ahead tracks better than the published PID by itself
     assert found.merits["multi", "H-infinity"].rmse_um < found.merits["multi", "PID"].rmse_um
     assert set(found.traces) == set(chapter_8_own.LOOPS)
+    again = chapter_8_own.Compared.from_json(json.loads(json.dumps(found.to_json())))
+    assert str(again.merits) == str(found.merits)
+    np.testing.assert_array_equal(again.traces["PID"], found.traces["PID"])
     survival = chapter_8_robustness.survive((designs, 3))
     assert survival.finite and abs(survival.factor - 1) <= 0.2 and 0.5 <= survival.noise <= 2.0

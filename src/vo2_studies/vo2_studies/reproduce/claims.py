@@ -6,6 +6,9 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, TypeVar
+
+from vo2_studies.reproduce.pool import Finished
 
 __all__ = [
     "Claim",
@@ -26,6 +29,9 @@ __all__ = [
     "within_or_above",
     "within_or_below",
 ]
+
+
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
@@ -268,6 +274,7 @@ class Context:
     workers : processes
     folder : where recordings of scenarios go, one folder each
     progress : called with what is being done and the share of the section done, 0 to 1
+    code : identity of the code that a section is computed by
     """
 
     draws: int = 200
@@ -276,3 +283,17 @@ class Context:
     workers: int = 1
     folder: Path = Path("reproduction")
     progress: Callable[[str, float], None] = field(default=lambda text, share: None)
+    code: str = ""
+
+    def finished(
+        self, number: str, encode: Callable[[Found], Any], decode: Callable[[Any], Found]
+    ) -> Finished[Found]:
+        """Where a long section keeps its finished devices, see `pool.run_many`.
+
+        Parameters
+        ----------
+        number : of the section
+        encode, decode : a result as what JSON takes, and back
+        """
+        identity = f"{self.code} seed {self.seed} draws {self.draws} {self.robust_draws}"
+        return Finished(self.folder / "unfinished" / f"{number}.jsonl", identity, encode, decode)

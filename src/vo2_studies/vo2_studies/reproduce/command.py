@@ -20,7 +20,7 @@ from vo2_models.io import InputError, OutputFolder, write_whole
 from vo2_studies.reproduce import INTERRUPTED
 from vo2_studies.reproduce import sections as section_folder
 from vo2_studies.reproduce.claims import Claim, Context, Figure, Section, Table, tally
-from vo2_studies.reproduce.kept import keep, kept
+from vo2_studies.reproduce.kept import code_digest, keep, kept
 from vo2_studies.reproduce.page import page
 
 __all__ = ["KEPT", "run", "section_modules"]
@@ -103,12 +103,14 @@ def _run_sections(wanted: Sequence[ModuleType], options: argparse.Namespace, out
             options.workers,
             options.output,
             _said_of(module.NUMBER, progress),
+            code_digest(module),
         )
         try:
             section = earlier[0] if earlier else module.run(context)
             seconds = earlier[1] if earlier else time.monotonic() - begun
             if not earlier:
                 keep(folder, module, section, settings, seconds)
+                (context.folder / "unfinished" / f"{module.NUMBER}.jsonl").unlink(missing_ok=True)
         except KeyboardInterrupt:
             print(
                 f"\nreproduce: interrupted in {module.NUMBER}; {len(done)} of {len(wanted)} sections are finished and kept, the "
