@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from vo2_identification.compress import main as compress
 from vo2_models.device.model import DeviceModel
 from vo2_models.hysteresis import EGPI, Cosine
 from vo2_models.identification.excitation import damped_oscillation
@@ -63,6 +64,32 @@ def test_tables_of_a_model_file_that_do_not_rise_or_do_not_fit_are_one_line(chan
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    ("name", "change", "said"),
+    [
+        ("radii", lambda r: r[::-1], "model.resistance.radii: found .* after .* at index 1, need ascending radii"),
+        ("radii", lambda r: [-0.1, *r[1:]], "model.resistance.radii: found -0.1 at index 0, need values >= 0"),
+        ("rising_slopes", lambda s: [-s[0], *s[1:]], "model.resistance.rising_slopes: found -.* at index 0, need slopes above 0"),
+        ("falling_slopes", lambda s: [*s[:-1], 0.0], "model.resistance.falling_slopes: found 0 at index 11, need slopes above 0"),
+    ],
+)  # fmt: skip
+def test_plays_that_are_not_monotonic_are_one_line_wherever_a_model_is_read(name, change, said):
+    parameters = load_model_parameters(FOLDER / "tables_7_1_and_7_2.yaml")
+    parameters[f"model.resistance.{name}"] = change(list(parameters[f"model.resistance.{name}"]))
+    for read in (DeviceModel.from_parameters, lambda p: self_sensing("composite", p)):
+        with pytest.raises(ValueError, match=said) as refused:
+            read(parameters)
+        assert "\n" not in str(refused.value)
+
+
+def test_a_grid_that_does_not_rise_is_one_line_when_a_model_is_read():
+    parameters = load_model_parameters(FOLDER / "tables_7_1_and_7_2.yaml")
+    grid = {"law": "preisach", "walls": [0.0, 2.0, 1.0], "density": [1.0] * 3, "bias": 0.0}
+    kept = {k: v for k, v in parameters.items() if not k.startswith("model.resistance.")}
+    with pytest.raises(ValueError, match=r"model.resistance.walls: found 1 after 2 at index 2"):
+        DeviceModel.from_parameters(kept | {f"model.resistance.{k}": v for k, v in grid.items()})
+
+
 @pytest.mark.slow
 def test_the_files_are_what_the_command_writes(tmp_path):
     assert main(["--output", str(tmp_path)]) == 0
@@ -85,3 +112,15 @@ def test_a_folder_that_is_a_file_is_one_line(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert main(["--output", str(tmp_path / "file")]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_the_printed_tables_can_be_compressed(tmp_path):
+    """Table 7.2's envelopes cross by 0.02: a law that the plant runs is a law that `compress` takes."""
+    small = tmp_path / "small.yaml"
+    assert (
+        compress(["--model", str(FOLDER / "tables_7_1_and_7_2.yaml"), "--plays", "3", "--output", str(small)])
+        == 0
+    )
+    model = DeviceModel.load(small)
+    assert np.size(model.deflection.weights) == np.size(model.resistance.weights) == 3
+    assert self_sensing("composite", load_model_parameters(small)).initial_state() is not None

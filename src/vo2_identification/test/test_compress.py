@@ -113,7 +113,7 @@ def test_too_many_are_refused_in_one_line(model, tmp_path, capsys, arguments, me
             "model.resistance.rising_slopes",
             -0.25,
             ["--plays", "4"],
-            "model.resistance.rising_slope: found -0.25",
+            "model.resistance.rising_slopes: found -0.25",
         ),
         (
             "model.resistance.weights",

@@ -7,18 +7,23 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from vo2_control.pid import PUBLISHED_PELTIER_PID, pid_law
-from vo2_studies.reproduce import chapter8, main
+from vo2_studies.reproduce import candidates, chapter8, kept, main
 from vo2_studies.reproduce.claims import (
     Claim,
     Context,
+    Figure,
     Section,
     Table,
+    above,
     at_least,
     at_most,
+    baseline,
+    below,
     between,
     tally,
     within,
@@ -33,11 +38,12 @@ from vo2_studies.reproduce.peltier import (
     NOISE_A,
     PERIOD_S,
     Conditions,
+    Merit,
     current_noise,
     reference,
 )
 from vo2_studies.reproduce.pool import run_many
-from vo2_studies.reproduce.sections import chapter_6, chapter_8_own, chapter_8_robustness
+from vo2_studies.reproduce.sections import arithmetic, chapter_6, chapter_8_own, chapter_8_robustness
 
 KEYS = {"id", "section", "claim", "published", "ours", "unit", "met"}
 
@@ -48,6 +54,7 @@ KEYS = {"id", "section", "claim", "published", "ours", "unit", "met"}
         (within(2.0, 0.1), 2.19, 2.21),
         (within(2.0, 0.1), 1.81, 1.79),
         (within(-2.0, 0.1), -2.19, -2.21),
+        (baseline(2.0), 1.61, 1.59),
         (within_or_below(2.0, 0.1), 2.19, 2.21),
         (within_or_below(2.0, 0.1), 0.1, 2.21),
         (within_or_above(2.0, 0.1), 1.81, 1.79),
@@ -56,6 +63,8 @@ KEYS = {"id", "section", "claim", "published", "ours", "unit", "met"}
         (between(0.75, 0.9), 0.9, 0.74),
         (at_most(1.0), 1.0, 1.01),
         (at_least(1.0), 1.0, 0.99),
+        (above(1.0), 1.01, 1.0),
+        (below(1.0, "below 1"), 0.99, 1.0),
     ],
 )
 def test_rules(rule, met, not_met):
@@ -78,6 +87,7 @@ def test_page_escapes_and_says_what_is_not_met():
         "&lt;script&gt;" in text
         and "<script>" not in text
         and ">missed<" in text
+        and ">8</td>" in text
         and "1 published values: 0 met, 1 missed" in text
     )
 
@@ -114,6 +124,16 @@ def test_what_the_text_contradicts_is_neither_met_nor_missed():
     assert str(tally(claims)).startswith("3 published values: 1 met, 1 missed, 1 contradicted")
     derived = Claim("e", "8", "x", 1.0, 1.0, "1", within(1.0, 0.1), derived=True)
     assert derived.state == "consistent" and tally([*claims, derived]).met == 1
+    given = [
+        Claim("f", "8", "x", 1.0, 1.0, "1", within(1.0, 0.1), given=True),
+        Claim("g", "8", "x", 1.0, 2.0, "1", within(1.0, 0.1), given=True),
+        Claim("h", "8", "x", 1.0, 1.0, "1", within(1.0, 0.1), contradicted="the table says 2", given=True),
+    ]
+    assert [claim.state for claim in given] == ["given", "missed", "contradicted"]
+    assert str(tally([*claims, *given])).startswith(
+        "4 published values: 1 met, 1 missed, 2 contradicted by the text itself; "
+        "2 figures were set or fitted to the printed ones (1 of them not reached)"
+    )
     story = ("told <b>", Table("caption", ("tried", "ratio"), (("this & that", "0.82"),)))
     text = page([Section("8", "T", tuple(claims), story=story)], command="x", seconds=1.0)
     assert "told &lt;b&gt;" in text and "this &amp; that" in text and "the table says 2" in text
@@ -127,6 +147,23 @@ def test_a_narrower_structural_loop_turns_the_published_comparison_round():
         found = chapter8.means(seeds, ("multi",), difference)
         ratios.append(found["multi", "H-infinity"].rmse_um / found["multi", "PID"].rmse_um)
     assert 0.7 < ratios[0] < 0.95 and ratios[1] > 1.1
+
+
+@pytest.mark.parametrize(("steps_um", "said"), [(6.28, "explains them all"), (5.0, "none explains them all")])
+def test_a_candidate_explains_what_does_not_fit_only_if_it_meets_every_figure(steps_um, said, monkeypatch):
+    nan = math.nan
+    found = {
+        ("steps", "PID"): Merit(steps_um, nan, 1.11, nan, nan),
+        ("steps", "H-infinity"): Merit(6.05, nan, 0.62, nan, nan),
+        ("multi", "PID"): Merit(1.24, 3.0, nan, 49.1, nan),
+        ("multi", "H-infinity"): Merit(1.02, 3.07, nan, 48.2, nan),
+        ("noise", "PID"): Merit(1.47, 4.28, nan, 33.6, nan),
+        ("noise", "H-infinity"): Merit(0.96, 3.07, nan, 31.6, nan),
+    }
+    monkeypatch.setattr(candidates, "means", lambda seeds, kinds, **settings: found)
+    table, sentence = candidates.unexplained()
+    assert said in sentence and table.rows[1][-1] == ("5 of 5" if steps_um == 6.28 else "4 of 5")
+    assert table.rows[0][:6] == ("published", "0.82", "0.65", "+18.6", "33.6", "6.28")
 
 
 def test_the_chapter_8_device_is_its_file_unless_something_is_replaced():
@@ -155,6 +192,11 @@ def test_bad_arguments_end_with_one_line(tmp_path, capsys):
     assert main(["--only", "8.3", "--output", str(blocked / "x")]) == 2
     assert "that may be written into" in capsys.readouterr().err
     assert main(["--draws", "0"]) == 2
+
+
+def test_what_the_pid_was_tuned_for_contradicts_the_printed_gains():
+    overshoot, settling = arithmetic.nominal_step()
+    assert overshoot == pytest.approx(2.69, abs=0.05) and settling > 10 > arithmetic.nominal_step(0.05)[1]
 
 
 def test_sections_are_complete_and_unique():
@@ -217,6 +259,49 @@ def test_interrupt_keeps_the_sections_that_are_done(tmp_path, by):
     assert {r["section"][:3] for r in json.loads((tmp_path / "reproduction.json").read_text())} == {"8.3"}
 
 
+def test_the_same_command_continues_with_the_sections_that_are_finished(tmp_path, capsys, monkeypatch):
+    runs = []
+
+    def found(context):
+        runs.append(context.seed)
+        claims = (
+            Claim("2.4.a", "2.4", "x", 2.0, np.float64(1.9), "1", within(2.0, 0.1), derived=True),
+            Claim("2.4.b", "2.4", "y", None, math.nan, "1", above(np.int64(1))),
+        )
+        story = ("told", Table("caption", ("a", "b"), (("1", "2"),)), Figure("drawn", "<svg/>"))
+        return Section("2.4", "T", claims, (Figure("c", "<svg/>"),), ("remark",), story)
+
+    module = _module("2.4")
+    monkeypatch.setattr(module, "run", found)
+    command = ["--only", "2.4", "--output", str(tmp_path)]
+
+    def outcome(*more):
+        assert main([*command, *more]) == 0
+        said = capsys.readouterr()
+        return said.out, (tmp_path / "reproduction.html").read_text(), "kept" in said.err
+
+    first, again = outcome(), outcome()
+    assert runs == [1] and (first[2], again[2]) == (False, True)
+    assert again[:2] == first[:2]
+    outcome("--seed", "2")
+    monkeypatch.setattr("vo2_studies.reproduce.kept.code_digest", lambda module: "of other sources")
+    outcome("--seed", "2")
+    assert runs == [1, 2, 2]
+
+
+def test_what_a_section_is_computed_by_is_its_own_file_what_it_imports_and_everything_beside_the_sections(
+    monkeypatch,
+):
+    one, importing, other = (_module(number) for number in ("7", "7.4.1", "8.3"))
+    before = {module: kept.code_digest(module) for module in (one, importing, other)}
+    files = dict(kept._digests())
+    files[Path(one.__file__)] = b"edited"
+    monkeypatch.setattr(kept, "_digests", lambda: files)
+    assert [kept.code_digest(m) != before[m] for m in before] == [True, True, False]
+    files[Path(chapter8.__file__)] = b"edited"
+    assert kept.code_digest(other) != before[other]
+
+
 def test_interrupt_ends_the_processes_of_a_pool_quietly():
     program = (
         "import sys, time\n"
@@ -235,6 +320,32 @@ def test_interrupt_ends_the_processes_of_a_pool_quietly():
 def test_pool_keeps_the_order_whatever_the_number_of_processes():
     jobs = list(range(20))
     assert run_many(abs, jobs, 1, lambda n: None) == run_many(abs, jobs, 2, lambda n: None) == jobs
+
+
+_WORKED = []
+
+
+def _negative_or_interrupted(job):
+    _WORKED.append(job)
+    if job == 3 and _WORKED.count(3) == 1:
+        raise KeyboardInterrupt
+    return -float(job)
+
+
+def test_devices_that_are_finished_are_not_computed_again(tmp_path):
+    _WORKED.clear()
+    context = Context(folder=tmp_path, code="one")
+    finished = context.finished("8.6", lambda found: [found], lambda row: row[0])
+    with pytest.raises(KeyboardInterrupt):
+        run_many(_negative_or_interrupted, range(5), 1, lambda n: None, finished)
+    with finished.place.open("a") as file:
+        file.write("[-3.")  # as a loss of power leaves it
+    told = []
+    assert run_many(_negative_or_interrupted, range(5), 1, told.append, finished) == [0, -1, -2, -3, -4]
+    assert _WORKED == [0, 1, 2, 3, 3, 4] and told == [4, 5]
+    other = Context(folder=tmp_path, code="another").finished("8.6", finished.encode, finished.decode)
+    assert run_many(abs, range(-2, 0), 2, lambda n: None, other) == [2, 1]
+    assert other.read() == [2, 1]
 
 
 def _module(number):
@@ -261,6 +372,12 @@ def test_iterations_of_the_fixed_point_inverse_follow_the_tolerance():
     assert fine.met and coarse.met and coarse.ours < fine.ours
 
 
+def test_the_range_of_the_condition_is_the_widest_interval_on_which_it_holds():
+    assert chapter_6._widest(lambda low, high: low >= 40 and high <= 60.5) == (40.0, 60.0)
+    low, high = chapter_6._widest(lambda low, high: False)
+    assert low == high
+
+
 def test_own_comparison_runs_every_loop_and_judges_by_the_reference():
     law = pid_law(PUBLISHED_PELTIER_PID, PERIOD_S)
     designs = Designs(law, law, law, law, 0.5, {}, ())
@@ -273,5 +390,8 @@ def test_own_comparison_runs_every_loop_and_judges_by_the_reference():
     # feedforward that crosses the loop ahead tracks better than the published PID by itself
     assert found.merits["multi", "H-infinity"].rmse_um < found.merits["multi", "PID"].rmse_um
     assert set(found.traces) == set(chapter_8_own.LOOPS)
+    again = chapter_8_own.Compared.from_json(json.loads(json.dumps(found.to_json())))
+    assert str(again.merits) == str(found.merits)
+    np.testing.assert_array_equal(again.traces["PID"], found.traces["PID"])
     survival = chapter_8_robustness.survive((designs, 3))
     assert survival.finite and abs(survival.factor - 1) <= 0.2 and 0.5 <= survival.noise <= 2.0

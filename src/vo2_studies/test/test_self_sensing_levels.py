@@ -8,9 +8,11 @@ from vo2_studies.self_sensing.level_study import SCHEMES, level_errors
 def test_level_errors_order_the_schemes_and_take_time():
     found = level_errors(4, 6, walls=14, count=60)
     assert tuple(found) == SCHEMES
-    error = {kind: value for kind, (value, _) in found.items()}
+    error = {kind: one.random_m for kind, one in found.items()}
     assert 1e-9 < error["composite"] < error["polynomial"] < 3e-6
-    assert all(0.0 < duration < 1e-3 for _, duration in found.values())
+    for one in found.values():
+        assert 0.0 < one.time_s < 1e-3 and 1e-9 < one.mean_m < one.largest_m < 2e-5
+    assert found["composite"].mean_m < found["polynomial"].mean_m
 
 
 def test_walls_are_fine_where_the_resistance_dwells_and_increase_even_where_samples_repeat():
@@ -24,4 +26,4 @@ def test_walls_are_fine_where_the_resistance_dwells_and_increase_even_where_samp
 def test_preisach_of_level_ten_beats_the_polynomial_on_a_loop_narrow_against_the_resistance():
     """Uniform cells would be wider than the loop: with them the two are equally wrong."""
     found = level_errors(4, 10, walls=20, count=100)
-    assert found["composite"][0] < found["preisach"][0] < 0.6 * found["polynomial"][0]
+    assert found["composite"].random_m < found["preisach"].random_m < 0.6 * found["polynomial"].random_m

@@ -144,7 +144,6 @@ def compress_levels(values: Mapping[str, Value], level: int) -> tuple[dict[str, 
 
 def _fewer(bank: PlayBank, plays: int) -> tuple[PlayBank, float]:
     """Return a bank with fewer plays, and the largest change over a damped oscillation as a share of the range."""
-    model = bank.egpi()
     slopes = np.concatenate([bank.rising_slopes, bank.falling_slopes])
     offsets = np.concatenate([bank.rising_offsets, bank.falling_offsets])
     low = float(np.min((-SATURATED - offsets) / slopes))
@@ -154,10 +153,11 @@ def _fewer(bank: PlayBank, plays: int) -> tuple[PlayBank, float]:
     names = ("rising_slopes", "rising_offsets", "falling_slopes", "falling_offsets")
     pairs = [np.asarray(getattr(bank, name)) for name in names]
     shared = all(np.ptp(pair) == 0.0 for pair in pairs) and bool(np.all(np.diff(np.asarray(bank.radii)) > 0))
-    wanted = model.simulate(path)[0]
-    smooth = model.memoryless(path)
+    wanted = bank.run(path)
+    bias = float(np.asarray(bank.polynomial)[0])
+    smooth = bank.polynomial_part(path) - bias
     if shared:
-        plain = GPI(model.radii, model.weights, TanhEnvelopes(*(pair[0] for pair in pairs)), model.bias)
+        plain = GPI(bank.radii, bank.weights, TanhEnvelopes(*(pair[0] for pair in pairs)), bias)
         smaller = compress_plays(plain, plays, input_range=(low, high)).model
     else:
         if np.any(np.asarray(bank.weights) < 0):

@@ -177,7 +177,8 @@ class Law(ABC):
             if np.size(value):
                 given[part.name] = np.asarray(value, dtype=np.float64)
                 if part.type == "float":
-                    given[part.name] = float(given[part.name][0])
+                    one = finite_array(given[part.name], f"{section}.{part.name}", ndim=(0, 1), size=1)
+                    given[part.name] = float(one.flat[0])
             elif part.init and part.default is MISSING and part.default_factory is MISSING:
                 raise ValueError(f"{section}.{part.name}: found none, need it for the law {cls.name!r}")
         try:

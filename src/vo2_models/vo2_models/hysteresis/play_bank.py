@@ -21,7 +21,7 @@ from vo2_models.hysteresis.law import Inverse, Law, Saturation
 from vo2_models.hysteresis.layout import HEADER, TANH
 from vo2_models.numerics.kernel import kernel
 from vo2_models.parameters import Value
-from vo2_models.validation import finite_array
+from vo2_models.validation import finite_array, nonnegative
 
 if TYPE_CHECKING:
     from vo2_models.hysteresis.prandtl_ishlinskii import EGPI
@@ -148,11 +148,30 @@ class PlayBank(Law):
 
     @classmethod
     def from_parameters(cls, section: str, values: Mapping[str, Value]) -> Self:
-        """Return the bank of a section; as `Law.from_parameters`, and refuse a section of another law."""
+        """Return the bank of a section; as `Law.from_parameters`.
+
+        Raises
+        ------
+        ValueError : another law, envelopes that do not rise, or radii that are negative or out of order; names the parameter.
+        """
         written = values.get(f"{section}.law") or cls.name
         if written != cls.name:
             raise ValueError(f"{section}.law: found {written!r}, need {cls.name!r} here")
-        return super().from_parameters(section, values)
+        bank = super().from_parameters(section, values)
+        for name in ("rising_slopes", "falling_slopes"):
+            slopes = np.asarray(getattr(bank, name))
+            if np.any(slopes <= 0):
+                k = int(np.flatnonzero(slopes <= 0)[0])
+                raise ValueError(
+                    f"{section}.{name}: found {slopes[k]:g} at index {k}, need slopes above 0: an envelope rises with its input"
+                )
+        radii = nonnegative(np.asarray(bank.radii), f"{section}.radii")
+        if np.any(np.diff(radii) < 0):
+            k = int(np.flatnonzero(np.diff(radii) < 0)[0]) + 1
+            raise ValueError(
+                f"{section}.radii: found {radii[k]:g} after {radii[k - 1]:g} at index {k}, need ascending radii"
+            )
+        return bank
 
     @property
     def present(self) -> bool:

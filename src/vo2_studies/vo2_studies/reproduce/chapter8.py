@@ -35,19 +35,24 @@ __all__ = [
     "DIFFERENCE_K",
     "EFFECT",
     "FITTED",
+    "FITTED_MERITS",
     "LAWS",
     "PROOF_SEED",
     "Fitted",
+    "Merits",
     "calibration_slope",
     "device",
     "fit",
     "laws",
     "mean_merit",
     "means",
+    "ratio",
     "run_law",
 ]
 
 Floats = NDArray[np.float64]
+Merits = Mapping[tuple[str, str], Merit]
+"""(experiment, law) -> figures of merit."""
 
 DEVICE = "peltier_chapter8"
 EFFECT = "loop_width_difference"
@@ -61,6 +66,8 @@ FITTED = {
     "steady": 1.11,  # PID, Table 8.2 [um]
     "rmse": 1.24,  # PID, Table 8.3 [um]
 }
+FITTED_MERITS = {("multi", "PID", "rmse"), ("multi", "PID", "effort"), ("steps", "PID", "steady")}
+"""Those of section 8.4 among them: (experiment, law, figure of merit)."""
 DEVELOPMENT_SEEDS = tuple(range(9001, 9013))
 PROOF_SEED = 30_000
 """Added to a context's seed: devices that nothing was fitted to or chosen on."""
@@ -195,6 +202,11 @@ def means(
         for kind, name in found:
             found[kind, name].append(run_law(kind, one, calibration, both[name], seed, conditions)[0])
     return {key: mean_merit(merits) for key, merits in found.items()}
+
+
+def ratio(merits: Merits, kind: str = "multi") -> float:
+    """RMSE of H-infinity over that of the PID."""
+    return merits[kind, "H-infinity"].rmse_um / merits[kind, "PID"].rmse_um
 
 
 def mean_merit(merits: Sequence[Merit]) -> Merit:

@@ -20,9 +20,13 @@ from vo2_models.io import InputError, OutputFolder, write_whole
 from vo2_studies.reproduce import INTERRUPTED
 from vo2_studies.reproduce import sections as section_folder
 from vo2_studies.reproduce.claims import Claim, Context, Figure, Section, Table, tally
+from vo2_studies.reproduce.kept import code_digest, keep, kept
 from vo2_studies.reproduce.page import page
 
-__all__ = ["run", "section_modules"]
+__all__ = ["KEPT", "run", "section_modules"]
+
+KEPT = "sections"
+"""Folder of the finished sections, inside the output folder."""
 
 
 def section_modules() -> list[ModuleType]:
@@ -36,10 +40,15 @@ def section_modules() -> list[ModuleType]:
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; 0 whatever the claims say, 2 on unusable arguments, 130 after Ctrl-C (sections done are kept)."""
+    """Run the command; 0 whatever the claims say, 2 on unusable arguments, 130 after Ctrl-C.
+
+    Finished sections are kept in the output folder: the same command continues, as long as neither the code nor what a
+    section depends on has changed.
+    """
     parser = argparse.ArgumentParser(
         prog="reproduce",
-        description="Published figures of the dissertation beside ours: one page, one JSON file.",
+        description="Published figures of the dissertation beside ours: one page, one JSON file. Finished sections are kept "
+        "in the folder: after an interruption the same command continues.",
     )
     parser.add_argument(
         "--only", metavar="SECTION", action="append", help="for instance 8, 8.4 or 8.4.1; repeatable"
@@ -64,7 +73,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return refuse("reproduce", f"--only: found {', '.join(options.only)}, need one of {numbers}")
     if min(options.draws, options.robust_draws, options.workers) < 1:
         return refuse("reproduce", "--draws, --robust-draws, --workers: need at least 1")
-    outputs = OutputFolder(options.output, ("reproduction.json", "reproduction.html", "scenarios"))
+    outputs = OutputFolder(options.output, ("reproduction.json", "reproduction.html", "scenarios", KEPT))
     try:
         outputs.check()
         options.output.mkdir(parents=True, exist_ok=True)
@@ -79,9 +88,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 def _run_sections(wanted: Sequence[ModuleType], options: argparse.Namespace, outputs: OutputFolder) -> int:
     """Run sections one after the other; what is done is on disk at any time."""
-    started = time.monotonic()
+    settings = {"draws": options.draws, "robust_draws": options.robust_draws, "seed": options.seed}
+    folder = options.output / KEPT
     done: list[Section] = []
+    total = 0.0
     for module in wanted:
+        earlier = kept(folder, module, settings)
         begun = time.monotonic()
         progress = Progress("reproduce")
         context = Context(
@@ -91,13 +103,18 @@ def _run_sections(wanted: Sequence[ModuleType], options: argparse.Namespace, out
             options.workers,
             options.output,
             _said_of(module.NUMBER, progress),
+            code_digest(module),
         )
         try:
-            section = module.run(context)
+            section = earlier[0] if earlier else module.run(context)
+            seconds = earlier[1] if earlier else time.monotonic() - begun
+            if not earlier:
+                keep(folder, module, section, settings, seconds)
+                (context.folder / "unfinished" / f"{module.NUMBER}.jsonl").unlink(missing_ok=True)
         except KeyboardInterrupt:
-            kept = f"{len(done)} of {len(wanted)} sections are in {options.output / 'reproduction.html'}"
             print(
-                f"\nreproduce: interrupted in {module.NUMBER}; {kept if done else 'no section was done yet'}",
+                f"\nreproduce: interrupted in {module.NUMBER}; {len(done)} of {len(wanted)} sections are finished and kept, the "
+                "same command continues",
                 file=sys.stderr,
             )
             return INTERRUPTED
@@ -105,11 +122,13 @@ def _run_sections(wanted: Sequence[ModuleType], options: argparse.Namespace, out
             progress.clear()
             outputs.remember()
         done.append(section)
-        took = f"{time.monotonic() - begun:.1f} s"
-        print(f"{section.number:6s} {took}  {section.title}", file=sys.stderr, flush=True)
+        total += seconds
+        how = f"kept, took {seconds:.1f} s" if earlier else f"{seconds:.1f} s"
+        ahead = f", {len(wanted) - len(done)} sections ahead" if len(done) < len(wanted) else ""
+        print(f"{section.number:6s} {how}{ahead}  {section.title}", file=sys.stderr, flush=True)
         print(_text(section), flush=True)
         # after every section: an interrupted run leaves what it has found
-        _write(options.output, done, time.monotonic() - started, wanted)
+        _write(options.output, done, total, wanted)
         outputs.remember()
     claims = [claim for section in done for claim in section.claims]
     print(tally(claims))

@@ -14,23 +14,15 @@ from vo2_models.parameters import Value
 
 from vo2_studies.demo.errors import PhaseData, tracking_error
 from vo2_studies.reproduce import chapter8
-from vo2_studies.reproduce.claims import Claim, Context, Figure, Section, within, within_or_below
+from vo2_studies.reproduce.claims import Claim, Context, Figure, Section, baseline, within, within_or_below
 from vo2_studies.reproduce.figures import STYLES, draw
 from vo2_studies.reproduce.identified import identify
-from vo2_studies.reproduce.peltier import LIMITS, Merit, calibrate, merit, reference
+from vo2_studies.reproduce.peltier import LIMITS, MERIT_WORDS, Merit, calibrate, merit, reference
 from vo2_studies.reproduce.scenarios import GraphLoop, run_loops
 
 __all__ = ["integrated_section", "peltier_section", "tracks", "tried"]
 
 Floats = NDArray[np.float64]
-
-_PELTIER_WORDS = (
-    # field of `Merit`, name, words, unit, distance within which a claim is met: as in section 8.4
-    ("rmse_um", "rmse", "RMSE", "um", 0.2),
-    ("largest_um", "largest", "Largest error", "um", 0.3),
-    ("steady_um", "steady", "Mean steady-state error", "um", 0.4),
-    ("effort_ma", "effort", "Control effort, s.d. of the current", "mA", 0.2),
-)
 
 
 def integrated_section(
@@ -73,7 +65,7 @@ def integrated_section(
         published = published_um[scheme]
         claims.append(
             Claim(f"{number}.graph_{scheme}", number, f"Mean tracking error on the ROS graph, {scheme}", published,
-                  error, "um", within_or_below(published, 0.1), conditions)
+                  error, "um", within_or_below(published, 0.1) if scheme == "composite" else baseline(published), conditions)
         )  # fmt: skip
     claims.append(
         Claim(f"{number}.graph_order", number, "Mean tracking error on the ROS graph: composite over polynomial",
@@ -145,14 +137,13 @@ def peltier_section(
     merits = {name: merit(kind, _result(found[name], wanted)) if found else None for name in laws}
     claims = []
     for name, figures_of_merit in published.items():
-        for (field, short, words, unit, distance), value in zip(
-            _PELTIER_WORDS, figures_of_merit, strict=True
-        ):
+        for (field, short, words, unit, distance), value in zip(MERIT_WORDS, figures_of_merit, strict=True):
             if np.isfinite(value):
                 ours = _value(merits[name], field)
                 claims.append(
                     Claim(f"{number}.graph_{name.lower()}.{short}", number, f"{words} on the ROS graph, {name}", value, ours,
-                          unit, within(value, distance), conditions)
+                          unit, within(value, distance), conditions,
+                          given=(kind, name, short) in chapter8.FITTED_MERITS)
                 )  # fmt: skip
     ratio = _value(merits["H-infinity"], "rmse_um") / _value(merits["PID"], "rmse_um")
     claims.append(

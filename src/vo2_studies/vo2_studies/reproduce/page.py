@@ -17,9 +17,10 @@ _RULES = (
     "Published values are those of the dissertation, measured on its devices; ours come from simulated devices that share no "
     "model with the estimators and controllers. A dash marks a claim of our own. A claim is met within the stated distance "
     "of the published value, on both sides unless better lies on one; a ratio is compared with the published ratio. What the "
-    "text itself contradicts counts as neither. Missed is left standing."
+    "text itself contradicts counts as neither, nor does what ours was set or fitted to (given) or what the text derives from "
+    "its own figures (consistent). Missed is left standing."
 )
-_HEAD = ("claim", "published", "ours", "unit", "state", "met if", "note")
+_HEAD = ("claim", "section", "published", "ours", "unit", "state", "met if", "note")
 
 
 def page(sections: Sequence[Section], *, command: str, seconds: float) -> str:
@@ -66,4 +67,4 @@ def _row(claim: Claim, notes: Sequence[str]) -> tuple[str, ...]:
     published = "–" if claim.published is None else f"{claim.published:.4g}"
     ours = f"{claim.ours:.4g}" if math.isfinite(claim.ours) else "not found"
     note = str(notes.index(_note(claim)) + 1) if _note(claim) else ""
-    return claim.claim, published, ours, claim.unit, claim.state, claim.rule.text, note
+    return claim.claim, claim.section, published, ours, claim.unit, claim.state, claim.rule.text, note

@@ -19,6 +19,7 @@ __all__ = [
     "CONTRACT",
     "EXPERIMENTS",
     "LIMITS",
+    "MERIT_WORDS",
     "PERIOD_S",
     "Calibration",
     "Conditions",
@@ -177,6 +178,15 @@ class Merit:
     steady_um: float
     effort_ma: float
     sensing_um: float
+
+
+MERIT_WORDS = (
+    # field of `Merit`, name, words, unit, distance from the published value within which a claim is met
+    ("rmse_um", "rmse", "RMSE", "um", 0.2),
+    ("largest_um", "largest", "Largest error", "um", 0.3),
+    ("steady_um", "steady", "Mean steady-state error", "um", 0.4),
+    ("effort_ma", "effort", "Control effort, s.d. of the current", "mA", 0.2),
+)
 
 
 def merit(kind: str, result: LoopResult) -> Merit:

@@ -1,23 +1,69 @@
-"""Many devices on several processes, with progress; the result does not depend on how many processes there are."""
+"""Many devices on several processes, with progress; the result does not depend on how many processes there are.
+
+What is finished may be kept in a file, so that hours of devices survive an interruption.
+"""
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from typing import TypeVar
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
 
-__all__ = ["interrupt_is_ours", "run_many"]
+__all__ = ["Finished", "interrupt_is_ours", "run_many"]
 
 Job = TypeVar("Job")
 Found = TypeVar("Found")
 
 
+@dataclass(frozen=True)
+class Finished(Generic[Found]):
+    """A file of what is finished, one line of JSON each in the order of the jobs, below a line that says what it is of.
+
+    Attributes
+    ----------
+    place : the file
+    identity : all that the results depend on; a file of another identity is begun anew
+    encode, decode : a result as what JSON takes, and back
+    """
+
+    place: Path
+    identity: str
+    encode: Callable[[Found], Any]
+    decode: Callable[[Any], Found]
+
+    def read(self) -> list[Found]:
+        """Return what is finished; a line that was not written to its end and what follows it do not count."""
+        head = json.dumps({"of": self.identity}) + "\n"
+        text = self.place.read_text(encoding="utf-8") if self.place.is_file() else ""
+        if not text.startswith(head):
+            self.place.parent.mkdir(parents=True, exist_ok=True)
+            self.place.write_text(head, encoding="utf-8")
+            return []
+        lines = text.splitlines(keepends=True)
+        whole = [line for line in lines if line.endswith("\n")]
+        if len(whole) < len(lines):
+            self.place.write_text("".join(whole), encoding="utf-8")
+        return [self.decode(json.loads(line)) for line in whole[1:]]
+
+    def add(self, found: Sequence[Found]) -> None:
+        """Append results."""
+        with self.place.open("a", encoding="utf-8") as file:
+            file.write("".join(json.dumps(self.encode(one)) + "\n" for one in found))
+
+
 def run_many(
-    work: Callable[[Job], Found], jobs: Sequence[Job], workers: int, progress: Callable[[int], None]
+    work: Callable[[Job], Found],
+    jobs: Sequence[Job],
+    workers: int,
+    progress: Callable[[int], None],
+    finished: Finished[Found] | None = None,
 ) -> list[Found]:
     """Return `work(job)` for every job, in order; `progress` gets the number done.
 
@@ -25,12 +71,20 @@ def run_many(
     ----------
     work : a function of a module, so that other processes find it
     workers : processes; 1 runs here
+    finished : results of an earlier run of the same jobs, which are not computed again, and where to add others
     """
-    found: list[Found] = []
+    found: list[Found] = finished.read() if finished else []
+
+    def add(more: Sequence[Found]) -> None:
+        found.extend(more)
+        if finished:
+            finished.add(more)
+        progress(len(found))
+
+    jobs = jobs[len(found) :]
     if workers == 1:
         for job in jobs:
-            found.append(work(job))
-            progress(len(found))
+            add([work(job)])
         return found
     before = set(multiprocessing.active_children())
     size = max(1, min(8, len(jobs) // (4 * workers)))
@@ -40,8 +94,7 @@ def run_many(
             with interrupt_is_ours():
                 chunks = [pool.submit(_several, work, jobs[k : k + size]) for k in range(0, len(jobs), size)]
             for chunk in chunks:
-                found.extend(chunk.result())
-                progress(len(found))
+                add(chunk.result())
         except KeyboardInterrupt:
             for child in set(multiprocessing.active_children()) - before:
                 child.terminate()

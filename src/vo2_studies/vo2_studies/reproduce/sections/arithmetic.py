@@ -107,15 +107,16 @@ def derived() -> list[Derived]:
     ]  # fmt: skip
 
 
-def nominal_step() -> tuple[float, float]:
-    """Overshoot [%] and settling time to 2 % [s] of the published PID on the chapter's linear model."""
+def nominal_step(band: float = 0.02) -> tuple[float, float]:
+    """Overshoot [%] and settling time to `band` [s] of the published PID on the chapter's linear model."""
     s = control.tf("s")
     delay = (1 - 0.1875 * s) / (1 + 0.1875 * s)
     plant = 5.9 * 50.0 * delay / (25.0 * s + 1)
     gains = PUBLISHED_PELTIER_PID
     kp, ki, kd = (1e-6 * abs(gain) for gain in (gains.kp, gains.ki, gains.kd))
     law = kp + ki / s + kd * s / (gains.derivative_filter_s * s + 1)
-    found = control.step_info(control.feedback(plant * law, 1), T=np.linspace(0, 200, 20001))
+    loop = control.feedback(plant * law, 1)
+    found = control.step_info(loop, T=np.linspace(0, 200, 20001), SettlingTimeThreshold=band)
     return float(found["Overshoot"]), float(found["SettlingTime"])
 
 
@@ -129,8 +130,11 @@ def run(context: Context) -> Section:
     overshoot, settling = nominal_step()
     basis = "the printed gains on the nominal model of 8.3.1, Pade delay, linear; derivative filtered over one sample"
     claims += [
-        Claim("text.8.4.overshoot", "8.4", "Overshoot that the PID was tuned for", 2.0, overshoot, "%", at_most(2.0), basis),
-        Claim("text.8.4.settling", "8.4", "Settling time that the PID was tuned for", 10.0, settling, "s", at_most(10.0), basis),
+        Claim("text.8.4.overshoot", "8.4", "Overshoot that the PID was tuned for", 2.0, overshoot, "%", at_most(2.0), basis,
+              "'less than 2 %' was designed on this model, on which the printed gains overshoot by 2.7 % (2.4 without delay)",
+              derived=True),
+        Claim("text.8.4.settling", "8.4", "Settling time that the PID was tuned for", 10.0, settling, "s", at_most(10.0),
+              f"to 2 %; the text has no band: to 5 % it is {nominal_step(0.05)[1]:.1f} s; {basis}", derived=True),
     ]  # fmt: skip
     story = (
         "Published values here are figures that the text derives from others; 'ours' is what those others give. Where they "

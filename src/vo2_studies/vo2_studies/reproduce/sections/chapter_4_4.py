@@ -10,7 +10,7 @@ from vo2_studies.preisach.compressive_device_study import (
     CompressiveDeviceStudy,
     compressive_device_study,
 )
-from vo2_studies.reproduce.claims import Claim, Context, Section, at_least, within_or_below
+from vo2_studies.reproduce.claims import Claim, Context, Section, at_least, within, within_or_below
 from vo2_studies.reproduce.figures import STYLES, draw
 from vo2_studies.reproduce.pool import run_many
 
@@ -65,20 +65,23 @@ def run(context: Context) -> Section:
     )
     place = MEASUREMENTS.index(300)
     for measure, published in _AT_300.items():
-        if measure not in found[0].errors:
-            continue
-        for method in COMPARED:
-            ours = np.array(
-                [
-                    one.errors[measure][place, METHODS.index(method)] / one.errors[measure][place, 0]
-                    for one in found
-                ]
-            )
-            ratio = published[method] / published["Least Squares"]
+        ours = np.array([one.errors[measure][place] for one in found])
+        for k, method in enumerate(METHODS):
+            short = f"4.4.at_300.{measure.replace(' ', '_')}.{method.lower().replace(' ', '_')}"
+            theirs = published[method]
+            if measure == "random input":
+                claims.append(
+                    Claim(f"{short}_itself", "4.4.2", f"RMSE of {method} at 300 measurements, {measure}", theirs,
+                          float(np.median(ours[:, k])), "um", within(theirs, 0.2), f"median of the devices; {basis}")
+                )  # fmt: skip
+            if method == "Least Squares":
+                continue
+            ratio = 100 * theirs / published["Least Squares"]
             claims.append(
-                Claim(f"4.4.at_300.{measure.replace(' ', '_')}.{method.lower().replace(' ', '_')}", "4.4.2",
-                      f"RMSE of {method} over that of least squares at 300 measurements, {measure}", 100 * ratio,
-                      100 * float(np.median(ours)), "%", within_or_below(100 * ratio, 0.1), f"median of the devices; {basis}")
+                Claim(short, "4.4.2",
+                      f"RMSE of {method} over that of least squares at 300 measurements, {measure}", ratio,
+                      100 * float(np.median(ours[:, k] / ours[:, 0])), "%", within_or_below(ratio, 0.1),
+                      f"median of the devices; {basis}")
             )  # fmt: skip
     claims.append(
         Claim("4.4.order", "4.4.2", "Devices on which CS Order Non-negative < CS Order < CS, modelling error", None,
@@ -103,5 +106,6 @@ def run(context: Context) -> Section:
         "The published ratios are not reproduced: only one of the 467 samples tells the linear term of (4.19) from the "
         "densities, and least squares is worse than compressive sensing where the choice or the noise of that sample "
         "spoils it: the ratio differs from device to device.",
+        "The errors of the density themselves (0.122 to 0.059 um/V^2) are not compared: ours is over the temperature.",
     )
     return Section(NUMBER, TITLE, tuple(claims), figures, remarks)

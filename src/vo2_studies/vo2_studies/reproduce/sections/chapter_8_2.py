@@ -87,7 +87,7 @@ def run(context: Context) -> Section:
     proof = f"mean over {DRAWS} device draws that nothing was fitted to or chosen on"
     claims = [
         Claim(f"8.2.fitted.{name}", _WORDS[name][0], f"FITTED: {_WORDS[name][1]}", published, float(fitted.figures[name]),
-              _WORDS[name][2], within(published, 0.1), "one of the four figures the device is fitted to; development draws")
+              _WORDS[name][2], within(published, 0.1), "one of four figures fitted to; development draws", given=True)
         for name, published in FITTED.items()
     ]  # fmt: skip
     slope = float(np.mean([calibration_slope(one, c) for one, c in zip(devices, calibrations, strict=True)]))
@@ -98,21 +98,21 @@ def run(context: Context) -> Section:
               float(np.mean(errors)), "um", at_most(2.0),
               f"middle 80 % of log10 R; published 'lower than 2 um'; worst draw {max(errors):.2f}; {proof}"),
         Claim("8.2.degree", "8.2", "Degree of the self-sensing polynomial", 9.0,
-              float(calibrations[0].sensing.coefficients.size - 1), "1", within(9.0, 0.0), "as published, no finding"),
+              float(calibrations[0].sensing.coefficients.size - 1), "1", within(9.0, 0.0), "as published", given=True),
         Claim("8.2.span", "8.2", "Temperature span of the transition", 15.0, float(np.mean([span(c) for c in calibrations])),
               "K", within(15.0, 0.2), f"middle 95 % of the deflection, mean of both branches; {proof}"),
         Claim("8.2.range", "8.2", "Total deflection", 70.0,
               float(np.mean([1e6 * np.ptp(c.deflection_m) for c in calibrations])), "um", within(70.0, 0.1),
-              f"set by the device file; {proof}"),
+              f"set by the device file; {proof}", given=True),
         Claim("8.2.decades", "8.2", "Drop of the resistance, orders of magnitude", 2.0,
               float(np.mean([np.ptp(np.log10(c.resistance_ohm)) for c in calibrations])), "1", within(2.0, 0.1),
-              f"set by the device file; {proof}"),
+              f"set by the device file; {proof}", given=True),
         Claim("8.3.1.gain", "8.3.1", "Gain A0", 50.0, abs(shipped.linear_gain), "K/A", within(50.0, 0.0),
-              "set by the device file", _GAIN),
+              "set by the device file", _GAIN, given=True),
         Claim("8.3.1.time_constant", "8.3.1", "Time constant", 25.0, shipped.time_constant, "s", within(25.0, 0.0),
-              "set by the device file", _TABLE_81),
+              "set by the device file", _TABLE_81, given=True),
         Claim("8.3.1.dead_time", "8.3.1", "Dead time", 0.375, shipped.dead_time, "s", within(0.375, 0.0),
-              "set by the device file"),
+              "set by the device file", given=True),
         Claim("8.2.shipped_spread", "8.2", "Fit over the device file: spread of the heating temperature", None,
               fitted.spread_k / shipped.heating[1], "1", between(0.98, 1.02), f"shipped {shipped.heating[1]:g} K"),
         Claim("8.2.shipped_width", "8.2", "Fit over the device file: loop width", None, fitted.width_k / shipped.width[0],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,24 @@ class Compared:
 
     merits: dict[tuple[str, str], Merit]
     traces: dict[str, tuple[Floats, Floats]]
+
+    def to_json(self) -> dict[str, Any]:
+        """As lists."""
+        return {
+            "merits": [[*key, *astuple(merit)] for key, merit in self.merits.items()],
+            "traces": {name: [part.tolist() for part in parts] for name, parts in self.traces.items()},
+        }
+
+    @classmethod
+    def from_json(cls, found: dict[str, Any]) -> Compared:
+        """What `to_json` wrote."""
+        return cls(
+            {(kind, name): Merit(*values) for kind, name, *values in found["merits"]},
+            {
+                name: (np.array(error), np.array(current))
+                for name, (error, current) in found["traces"].items()
+            },
+        )
 
 
 def compare(job: tuple[Designs, int, bool]) -> Compared:
@@ -69,6 +88,7 @@ def run(context: Context) -> Section:
     found = run_many(
         compare, jobs, context.workers,
         lambda n: context.progress(f"device {n} of {len(jobs)}", 0.2 + 0.8 * n / len(jobs)),
+        context.finished(NUMBER, Compared.to_json, Compared.from_json),
     )  # fmt: skip
     table = {
         (kind, name): np.array([astuple(d.merits[kind, name]) for d in found])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from vo2_control.controller import LinearController
@@ -81,6 +81,7 @@ def run(context: Context) -> Section:
     found = run_many(
         survive, jobs, context.workers,
         lambda n: context.progress(f"device {n} of {len(jobs)}", 0.1 + 0.9 * n / len(jobs)),
+        context.finished(NUMBER, astuple, lambda row: Survival(*row)),
     )  # fmt: skip
     rmse, largest, late = (
         np.array([getattr(s, n) for s in found]) for n in ("rmse_um", "largest_um", "late_m")
