@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vo2_models.io import InputError, check_place, check_regular
-from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
+from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, Recording
 
 if TYPE_CHECKING:
     from vo2_models.identification.device_fit import FitResult
@@ -26,11 +26,6 @@ of each parameter and the residual of each channel stand in the file.
 """
 MARK = "fitted by `fit`"
 """Begins the first line of a model file that this command may replace."""
-_UNITS = {
-    RESISTANCE: ("log10 ohm", 1.0),
-    TIP_DEFLECTION: ("um", 1e6),
-    STAGE_TEMPERATURE: ("K", 1.0),
-}
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -147,19 +142,21 @@ def _check_place(output: Path) -> None:
 def _summary(result: FitResult) -> list[str]:
     from vo2_models.identification.calibration_check import noise_level
 
-    lines = []
-    for channel, sensor in result.model.sensors.items():
-        unit, factor = _UNITS[channel]
-        noise = factor * noise_level(channel, sensor.noise)
-        relative = f" ({100 * sensor.noise:.2g} % of the value)" if channel == RESISTANCE else ""
+    lines, device = [], result.model.description
+    for role, sensor in result.model.sensors.items():
+        unit = {RESISTANCE: "log10 ohm", STAGE_TEMPERATURE: "K"}.get(role, device.units.get(role, ""))
+        unit, factor = ("um", 1e6) if unit == "m" else (unit, 1.0)
+        noise = factor * noise_level(role, sensor.noise)
+        relative = f" ({100 * sensor.noise:.2g} % of the value)" if role == RESISTANCE else ""
         lines.append(
-            f"{channel}: residual {factor * sensor.residual:.3g} {unit} r.m.s., noise {noise:.3g} {unit}{relative}"
+            f"{device.names.get(role, role)}: residual {factor * sensor.residual:.3g} {unit} r.m.s., "
+            f"noise {noise:.3g} {unit}{relative}"
         )
     for name, unit in (
         ("thermal.time_constant", "s"),
         ("driver.dead_time", "s"),
         ("thermal.ambient", "degC"),
-        ("thermal.linear_gain", "K/A"),
+        ("thermal.linear_gain", f"K/{device.drive_unit}"),
     ):
         std = result.model.uncertainty.get(name)
         if std:

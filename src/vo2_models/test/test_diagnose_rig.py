@@ -1,8 +1,12 @@
 """Diagnosis of a device without body: its own misfit is the yardstick; few, jittered and unstamped samples are judged."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from vo2_models.device.description import described
+from vo2_models.diagnosis import report
 from vo2_models.diagnosis.pipeline import study
 from vo2_models.diagnosis.report import assemble_diagnosis
 from vo2_models.hysteresis.preisach import PreisachOperator
@@ -56,6 +60,8 @@ def test_an_unchanged_device_agrees_and_nothing_is_named(model, given, finding):
     assert found.decision.verdict in ("agrees", "drifted") and found.decision.chosen is None
     assert not assemble_diagnosis(found).effects
     assert max(found.located.own_misfit.values()) < found.limits.own_misfit
+    told = assemble_diagnosis(found).summary
+    assert "could not be judged" not in told and "tip_deflection" not in told
     assert not finding or finding in [f.kind for f in found.reading.findings]
 
 
@@ -63,4 +69,21 @@ def test_a_large_change_differs(model):
     span = np.ptp(recorded(2)[TIP_DEFLECTION])
     found = study([recorded(2, change=lambda y: np.minimum(y, y.max() - 0.3 * span))], model)
     assert found.decision.verdict == "differs"
+    assert "most in stroke" in assemble_diagnosis(found).summary
     assert found.located.own_misfit[TIP_DEFLECTION] > found.limits.own_misfit
+
+
+def test_a_response_that_is_missing_is_named_as_the_device_names_it_and_units_are_its_own(model):
+    found = study([recorded(2)], model)
+    both = described(
+        {**json.loads(DEVICE.document), "responses": {"stroke": {"unit": "m"}, "ohms": {"unit": "ohm"}}}, "x"
+    )
+    nominal = found.located.problem.nominal
+    other = replace(nominal.model, device=both.key)
+    problem = replace(found.located.problem, nominal=replace(nominal, model=other))
+    asked = replace(found, located=replace(found.located, problem=problem))
+    assert report._of_what(asked) == " in stroke (ohms could not be judged)"
+    assert report._of_what(found) == ""
+    assert [report._unit(unit, found) for unit in ("K/A^2", "K/A", "degC", "1", "s")] == [
+        "K/V^2", "K/V", "degC", "1", "s",
+    ]  # fmt: skip

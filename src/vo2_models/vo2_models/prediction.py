@@ -92,9 +92,9 @@ def predict(model: DeviceModel, recording: Recording) -> Prediction:
             if role in grid.measured and np.isfinite(grid.measured[role][:count]).any()
         )
 
-    settled = not model.description.has_body
+    settled = not model.heats
     outputs = simulated(settled)
-    if model.description.has_body and any(role in grid.measured for role in roles):
+    if model.heats and any(role in grid.measured for role in roles):
         other = simulated(True)
         settled = beginning(other) < beginning(outputs)
         outputs = other if settled else outputs

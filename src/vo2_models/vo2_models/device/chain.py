@@ -21,6 +21,7 @@ from vo2_models.device.core import (
     initial_transitions,
     inner,
     output_share,
+    own_heat,
     seen_temperature,
     warm,
 )
@@ -187,8 +188,10 @@ def bring_to_rest(kind, c, x, poly_r, poly_d, current, heat):
     """Bring slow bodies (`heat` true), or what is behind the film, to where they come in the end under a held current [A]."""
     if heat:
         joule = c[C.LINEAR_GAIN] * current + c[C.SQUARE_GAIN] * current * current
-        drive = joule + generated.heating(c, x, current, joule, x[S.RESISTANCE], -c[C.SAMPLE_PERIOD])
+        drive = joule + own_heat(c, x, current)
+        drive += generated.heating(c, x, current, joule, x[S.RESISTANCE], -c[C.SAMPLE_PERIOD])
         generated.settle_thermal(c, x, drive)
+        x[S.SLOW] = drive
     else:
         _settle_behind_film(
             c, x, _film_resistance(kind, c, x, poly_r), _film_deflection(kind, c, x, poly_d), x[S.STAGE]

@@ -5,6 +5,9 @@ tau dtheta/dt = k1 i + k2 i^2 - theta):
 
     tau lag (1 + latent ds/dT) dtheta/dt = k1 i + k2 i^2 + heating + pumping theta - (1 + conductance) theta (1 + loss)
 
+A film that is its own heater adds P to the drive, in proportion to V^2 / R or I^2 R with its resistance of the step before; of
+any rise a share can arrive through a second, slower lag.
+
 The step is the exponential Rosenbrock-Euler step: exact for the linear equation with held input, second
 order in the other terms. Latent heat is solved for, so that the enthalpy T + L s is kept exactly.
 """
@@ -30,6 +33,7 @@ __all__ = [
     "follow",
     "initial_transitions",
     "output_share",
+    "own_heat",
     "seen_temperature",
     "warm",
 ]
@@ -125,6 +129,22 @@ def _among_neighbours(
     return felt
 
 
+@inside
+def own_heat(c, x, current):
+    """Steady rise [K] by the electrical power in the film, at the resistance that it had last."""
+    if c[C.POWER_GAIN] == 0.0:
+        return 0.0
+    power = current * current
+    return c[C.POWER_GAIN] * (power / x[S.RESISTANCE] if c[C.VOLTAGE] != 0.0 else power * x[S.RESISTANCE])
+
+
+@inside
+def _body(c, x):
+    """Change of the body's temperature per kelvin of rise, and kelvins added to it: the slower lag and what effects add."""
+    slope, rest = generated.body(c, x)
+    return slope - c[C.SLOW_SHARE], rest + c[C.SLOW_SHARE] * x[S.SLOW]
+
+
 @inner
 def initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic):
     """Start from a long rest without current, insulating; memory as given."""
@@ -134,6 +154,7 @@ def initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, 
     drive = generated.heating(c, x, 0.0, 0.0, 0.0, before)
     generated.settle_driver(c, x, 0.0)
     generated.settle_thermal(c, x, drive)
+    x[S.SLOW] = drive
     rest = _background(c, x, 0.0) + drive
     x[S.FAST] = rest
     x[S.STAGE] = rest
@@ -179,7 +200,7 @@ def _heat_with_effects(c, x, current, h, time, theta):
     """As `_heat`, with what effects add; theta [K] above the ambient temperature."""
     joule = c[C.LINEAR_GAIN] * current + c[C.SQUARE_GAIN] * current * current
     pump = generated.pumping(c, x, current, joule)
-    drive = joule + generated.heating(c, x, current, joule, x[S.RESISTANCE], time)
+    drive = joule + own_heat(c, x, current) + generated.heating(c, x, current, joule, x[S.RESISTANCE], time)
     # with the fraction in the middle of the step, if it goes on as in the step before
     conductance = 1.0 + generated.conductance(c, x)
     bend, steep = generated.loss(c, x, theta)
@@ -192,6 +213,8 @@ def _heat_with_effects(c, x, current, h, time, theta):
     tau = c[C.TIME_CONSTANT] * generated.lag(c, x, surplus)
     decay = _decay(x, rate, tau, h)
     generated.advance_thermal(c, x, drive, h, time)
+    if c[C.SLOW_SHARE] != 0.0:
+        x[S.SLOW] -= math.expm1(-h / c[C.SLOW_TIME]) * (drive - x[S.SLOW])
     return surplus * decay
 
 
@@ -259,7 +282,7 @@ def _bring(c, x, fast, background, film_extra, h):
 @inside
 def _bring_with_effects(c, x, fast, background, film_extra, h):
     """As `_bring`, with what effects add."""
-    slope, rest = generated.body(c, x)
+    slope, rest = _body(c, x)
     x[S.STAGE] = fast + slope * (fast - background) + rest
     film = x[S.STAGE] + film_extra
     x[S.FILM] = film
@@ -297,7 +320,7 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
     latent = generated.latent(c, x)
     lead = generated.lead_of_latent(c, x)
     if latent != 0.0:
-        slope, rest = generated.body(c, x)
+        slope, rest = _body(c, x)
         rest += -slope * background + film_extra + generated.shift(c, x)
         fast = _solve_latent(
             kind, lead, latent, c, x, heat, 1.0 + slope, rest, packed_r, packed_d, play_r, play_d, levels, domains,

@@ -31,6 +31,14 @@ SCALARS = {
     "thermal.linear_gain": ("K/A", "steady temperature rise per current", -1e12, 1e12),
     "thermal.square_gain": ("K/A^2", "steady temperature rise per squared current", 0.0, 1e15),
     "thermal.time_constant": ("s", "thermal time constant", 1e-9, 1e9),
+    "thermal.power_gain": (
+        "K/W",
+        "steady temperature rise per electrical power in the film itself",
+        0.0,
+        1e15,
+    ),
+    "thermal.slow_share": ("1", "part of the temperature rise that arrives through a slower lag", 0.0, 1.0),
+    "thermal.slow_time_constant": ("s", "time constant of the slower lag", 1e-9, 1e9),
 }
 """Scalar parameters of the sections driver and thermal: unit, meaning, range. `model.` goes before."""
 _COEFFICIENT = {
@@ -39,7 +47,15 @@ _COEFFICIENT = {
     "thermal.linear_gain": Coefficient.LINEAR_GAIN,
     "thermal.square_gain": Coefficient.SQUARE_GAIN,
     "thermal.time_constant": Coefficient.TIME_CONSTANT,
+    "thermal.power_gain": Coefficient.POWER_GAIN,
+    "thermal.slow_share": Coefficient.SLOW_SHARE,
+    "thermal.slow_time_constant": Coefficient.SLOW_TIME,
 }
+_NEUTRAL_LEFT_OUT = {
+    "thermal.power_gain": ("thermal.power_gain",),
+    "thermal.slow_share": ("thermal.slow_share", "thermal.slow_time_constant"),
+}
+"""Scalar that is 0 on most devices -> what a model file then leaves out."""
 _BANKS = ("resistance", "deflection")
 
 
@@ -190,6 +206,12 @@ class DeviceModel:
         """What the device is."""
         return preset(self.device)
 
+    @property
+    def heats(self) -> bool:
+        """Whether the drive heats a body that rests cold without it: told by the device's file, or found by a fit."""
+        heat = ("thermal.square_gain", "thermal.power_gain")
+        return self.description.has_body or any(self.scalars[name] > 0.0 for name in heat)
+
     @cached_property
     def simulation(self) -> Simulation:
         """The compiled chain of this model."""
@@ -235,7 +257,8 @@ class DeviceModel:
     def to_parameters(self) -> dict[str, Value]:
         """Return the flat `model.*` parameters; the ones that are neutral or empty are left out."""
         flat: dict[str, Value] = {"model.device": self.device}
-        flat |= {f"model.{name}": value for name, value in self.scalars.items()}
+        left_out = {n for name, names in _NEUTRAL_LEFT_OUT.items() if not self.scalars[name] for n in names}
+        flat |= {f"model.{name}": value for name, value in self.scalars.items() if name not in left_out}
         flat[_DELAY.name] = self.command_delay
         for section in _BANKS:
             flat |= getattr(self, section).to_parameters(f"model.{section}")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.device import chain
-from vo2_models.device.assembly import plan, state_size
+from vo2_models.device.assembly import FLAGS, plan, state_size
 from vo2_models.device.coefficients import (
     CHANNELS,
     Coefficient,
@@ -37,6 +37,7 @@ __all__ = [
     "TRUE_DEFLECTION",
     "TRUE_RESISTANCE",
     "Simulation",
+    "longest_lag",
     "nominal_coefficients",
     "white_noise",
 ]
@@ -67,8 +68,15 @@ def nominal_coefficients(device: DeviceDescription) -> Floats:
     c[Coefficient.SQUARE_GAIN] = device.square_gain
     c[Coefficient.TIME_CONSTANT] = device.time_constant
     c[Coefficient.DEAD_TIME] = device.dead_time
+    c[Coefficient.VOLTAGE] = float(device.drive_unit == "V")
     c[Coefficient.ON_STAGE] = float(device.measures_temperature)
     return c
+
+
+def longest_lag(c: Floats) -> float:
+    """Return the longer of the body's time constants [s] in the coefficients (n,)."""
+    slow = c[Coefficient.SLOW_TIME] if c[Coefficient.SLOW_SHARE] else 0.0
+    return float(max(c[Coefficient.TIME_CONSTANT], slow))
 
 
 def white_noise(seed: int, count: int) -> Floats:
@@ -147,13 +155,16 @@ class Simulation:
         c[Coefficient.SAMPLE_PERIOD] = period
         of = plan()
         on = c[of.active] != 0.0
-        feedback = self.force_feedback or bool(np.any(on & of.feedback))
+        own_heat, slow = (c[k] != 0.0 for k in (Coefficient.POWER_GAIN, Coefficient.SLOW_SHARE))
+        feedback = bool(self.force_feedback or own_heat or slow or np.any(on & of.feedback))
         c[Coefficient.FEEDBACK] = float(feedback)
         plays = (
             self.kind == PLAYS and self.packed_r.ndim == 1
         )  # which tell the input that they were last given
-        c[Coefficient.FOLLOWS] = float(plays and not np.any(on & of.every_step))
+        c[Coefficient.FOLLOWS] = float(plays and not own_heat and not np.any(on & of.every_step))
         c[first_flag() : first_flag() + of.flags.shape[0]] = of.flags @ on
+        for name, raised in (("resistance", own_heat), ("any:heat", own_heat or slow), ("any:film", slow)):
+            c[first_flag() + FLAGS.index(name)] += float(raised)
         constant = c[Coefficient.TIME_CONSTANT]
         sensed = set()
         for k in np.flatnonzero(on):
@@ -191,7 +202,7 @@ class Simulation:
 
     def slowest_time(self) -> float:
         """Return the longest time constant of the body and of the effects that are on [s]."""
-        found = [float(self.coefficients[Coefficient.TIME_CONSTANT])]
+        found = [longest_lag(self.coefficients)]
         for key in self.active():
             block = blocks()[key]
             name = effects()[block.effect].slowest_time
@@ -229,7 +240,7 @@ class Simulation:
 
     def _samples_to_rest(self, dt: float, c: Floats) -> int:
         """Number of samples that the way to rest takes; 50 000 at the most."""
-        longest = c[Coefficient.TIME_CONSTANT]
+        longest = longest_lag(c)
         for key in self.active():
             block = blocks()[key]
             name = effects()[block.effect].slowest_time

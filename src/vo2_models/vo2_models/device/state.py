@@ -26,6 +26,7 @@ class Slot(IntEnum):
     SAMPLE = auto()  # number of the next sample
     CURRENT = auto()  # A, driver's last output
     FAST = auto()  # degC, state of the thermal model
+    SLOW = auto()  # K, rise behind the slower lag
     STAGE = auto()  # degC, temperature of the heated body
     FILM = auto()  # degC
     CARRY = auto()  # K, enthalpy not yet turned into temperature or phase

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vo2_models.device import DeviceModel, preset
 from vo2_models.device.coefficients import CHANNELS, Coefficient, Sensor, blocks, sensor_index
-from vo2_models.device.simulation import Simulation
+from vo2_models.device.simulation import Simulation, longest_lag
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.propagate_correction import Film, corrected_film, film_alone, propagate_correction
 from vo2_models.effects import effects
@@ -56,6 +56,7 @@ THERMAL = {
     "thermal.ambient": Coefficient.AMBIENT,
     "thermal.linear_gain": Coefficient.LINEAR_GAIN,
     "thermal.square_gain": Coefficient.SQUARE_GAIN,
+    "thermal.power_gain": Coefficient.POWER_GAIN,
     "thermal.time_constant": Coefficient.TIME_CONSTANT,
 }
 
@@ -248,7 +249,7 @@ class Nominal:
         chain, grids = _without_rounding(chain)
         lead = 0
         if settled:
-            lead = int(np.ceil(10 * (c[Coefficient.TIME_CONSTANT] + c[Coefficient.DEAD_TIME]) / dt))
+            lead = int(np.ceil(10 * (longest_lag(c) + c[Coefficient.DEAD_TIME]) / dt))
             current = np.concatenate([np.full(lead, current[0]), current])
         steps = FINE if fine and _between_samples(chain, dt) else 1
         if steps > 1:

@@ -117,6 +117,7 @@ ANOTHER_DAY = {
     "thermal.ambient": ("degC", 1.0),
     "thermal.linear_gain": ("K/A", 0.005),
     "thermal.square_gain": ("K/A^2", 0.005),
+    "thermal.power_gain": ("K/W", 0.005),
     "thermal.time_constant": ("s", 0.05),
     "driver.dead_time": ("s", 0.01),
     "deflection.zero": ("m", 0.01),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -27,7 +28,7 @@ from vo2_models.diagnosis.result import (
 from vo2_models.diagnosis.search import cost
 from vo2_models.diagnosis.stages import Study
 from vo2_models.effects.record import CHOICE
-from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
+from vo2_models.recording import TIP_DEFLECTION
 
 __all__ = ["MODEL_DISCREPANCY", "assemble_diagnosis", "probabilities", "unlikely"]
 
@@ -103,9 +104,18 @@ def _moved(study: Study) -> list[MovedConstant]:
     order = np.argsort(-drift.sigmas)
     chosen = [k for k in order if drift.sigmas[k] > study.limits.constant_moved] or order[:1].tolist()
     return [
-        MovedConstant(c.name, c.value, c.value + float(drift.move[k]), float(drift.std[k]), c.unit)
+        MovedConstant(
+            c.name, c.value, c.value + float(drift.move[k]), float(drift.std[k]), _unit(c.unit, study)
+        )
         for k, c in ((k, drift.constants[k]) for k in chosen)
     ]
+
+
+def _unit(unit: str, study: Study) -> str:
+    """A unit of the chain, whose drive is in A and whose tip response is in m, in those of the device."""
+    device = study.located.problem.nominal.model.description
+    own = {"A": device.drive_unit, "m": device.units.get(TIP_DEFLECTION, "m")}
+    return re.sub("[A-Za-z]+", lambda part: own.get(part[0], part[0]), unit)
 
 
 def _moved_in_words(moved: Sequence[MovedConstant]) -> str:
@@ -414,12 +424,14 @@ def _by_recording(study: Study) -> list[str]:
 
 
 def _of_what(study: Study) -> str:
-    """Which channels agree, where one of the two could not be judged."""
+    """Which channels agree, where a response of the device could not be judged."""
     judged = {row.channel for row in study.located.problem.rows}
-    absent = [c for c in (RESISTANCE, TIP_DEFLECTION) if c not in judged]
+    device = study.located.problem.nominal.model.description
+    absent = [device.names[role] for role in (r.role for r in device.responses) if role not in judged]
     if not absent:
         return ""
-    return f" in {' and '.join(sorted(judged))} ({' and '.join(absent)} could not be judged)"
+    told = sorted(device.names.get(role, role) for role in judged)
+    return f" in {' and '.join(told)} ({' and '.join(absent)} could not be judged)"
 
 
 def _refitted(study: Study) -> str:
@@ -474,9 +486,8 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     if decision.verdict == "drifted":
         return f"The same physics, constants have moved{_of_what(study)}: {moved}. With them simulation and recording agree."
     where = max(excess, key=lambda c: excess[c])
-    head = (
-        f"Simulation and recording differ, most in {where} ({1 + excess[where]:.3g} times the noise power)."
-    )
+    told = study.located.problem.nominal.model.description.names.get(where, where)
+    head = f"Simulation and recording differ, most in {told} ({1 + excess[where]:.3g} times the noise power)."
     lead = (
         "The calibration had taken up a part of it"
         if study.reading.first_use

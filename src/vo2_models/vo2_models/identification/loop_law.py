@@ -21,6 +21,7 @@ from vo2_models.identification.preisach_choice import choose_preisach
 
 __all__ = [
     "AUTO",
+    "FEWEST_RECORDINGS",
     "LAW_CHOICES",
     "PLAYS",
     "LoopLaw",
@@ -34,7 +35,8 @@ Floats = NDArray[np.float64]
 AUTO, PLAYS = "auto", "plays"
 LAW_CHOICES = (PLAYS, *FITTED, AUTO)
 """What `fit --law` takes."""
-_FEWEST_RECORDINGS = 3
+FEWEST_RECORDINGS = 3
+"""Recordings from which whole ones are held out instead of blocks of time."""
 _STEPS = 40
 MARGIN = 0.97
 """Share of the held-out error of what is simpler, below which something less simple is taken."""
@@ -75,7 +77,7 @@ def folds_of_recordings(drives: Sequence[Floats], fold: NDArray[np.int64]) -> ND
     -------
     (n,) part of each sample, -1 for those that are always given
     """
-    if len(drives) < _FEWEST_RECORDINGS:
+    if len(drives) < FEWEST_RECORDINGS:
         return fold
     whole = np.full(fold.size, -1, dtype=np.int64)
     ends, count = np.cumsum([0, *(drive.size + 1 for drive in drives)]), 0

@@ -64,7 +64,9 @@ def adapted_walls(path: Floats, values: Floats, level: int, share: float) -> Flo
     order = np.argsort(middle)
     total = np.cumsum(change[order])
     placed = share * np.interp(mesh, middle[order], total / max(total[-1], 1e-300)) + (1.0 - share) * even
-    walls = np.interp(np.linspace(0.0, 1.0, level + 1), np.maximum.accumulate(placed), mesh)
+    # what changes while the path rests at an end of its range, such as noise, places nothing
+    placed = np.maximum.accumulate((placed - placed[0]) / (placed[-1] - placed[0]))
+    walls = np.interp(np.linspace(0.0, 1.0, level + 1), placed, mesh)
     walls[0], walls[-1] = low, high
     return walls
 

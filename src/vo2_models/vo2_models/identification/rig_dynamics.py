@@ -1,8 +1,9 @@
 """How a rig's loop follows its drive in time and sense, chosen by what predicts held-out parts of the calibration.
 
-The drive is laid over the loop coordinate, delayed or followed with a lag, and given to a convex fit of plays. The sense
-(which end of the drive is the lower saturation), the lag or the delay, and the degree of the memoryless part are those
-with the smallest error on blocks that the fit was not given; what is more complicated must be better by a margin.
+The drive is laid over the loop coordinate, delayed or followed with one lag or two, and given to a convex fit of plays. The
+sense (which end of the drive is the lower saturation), the lags or the delay, and the degree of the memoryless part are
+those with the smallest error on blocks that the fit was not given; what is more complicated must be better by a margin.
+Whether the drive heats, and heats the film itself, is `rig_heat`'s.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from vo2_models.device.description import DeviceDescription
 from vo2_models.identification.grid import GriddedRecording
 from vo2_models.identification.play_dictionary import PlayDictionary, fit_dictionary
 
-__all__ = ["RigDynamics", "choose_dynamics", "loop_path"]
+__all__ = ["LAGS", "RigDynamics", "after", "choose_dynamics", "loop_path"]
 
 Floats = NDArray[np.float64]
 COLD = -300.0
@@ -26,7 +27,7 @@ COLD = -300.0
 DEGREES = (1, 3)
 _MARGIN = 0.98
 """A lag, a delay or a higher degree must lower the held-out error to this share of what does without it."""
-_LAGS = 2.0 ** np.arange(-1, 9)
+LAGS = 2.0 ** np.arange(-1, 9)
 _DELAYS = (1, 2, 3, 4, 6, 8, 12, 16)
 """Lags and delays tried first, in sample periods."""
 _STEPS = (0.7, 0.85, 1.15, 1.4)
@@ -42,6 +43,7 @@ class RigDynamics:
     ----------
     falling : whether the lower saturation is at the upper end of the drive
     lag, delay : [s]; at most one of them is not zero
+    slow_share, slow : part of what the drive does that arrives through a second, slower lag [1], and that lag [s]
     degree : of the memoryless part
     score : sum over the responses of the logarithm of the held-out error
     """
@@ -49,6 +51,8 @@ class RigDynamics:
     falling: bool = False
     lag: float = 0.0
     delay: float = 0.0
+    slow_share: float = 0.0
+    slow: float = 0.0
     degree: int = DEGREES[0]
     score: float = np.inf
 
@@ -76,11 +80,33 @@ def loop_path(grids: Sequence[GriddedRecording], device: DeviceDescription, dyna
             # between samples the chain's delay takes the mean of the held drive: linear between neighbours
             at = np.arange(u.size) - dynamics.delay / grid.dt
             u = np.interp(at, np.arange(u.size), u)
-        if dynamics.lag:
-            keep = np.exp(-grid.dt / dynamics.lag)
-            u = lfilter([1.0 - keep], [1.0, -keep], u, zi=[keep * u[0]])[0]
-        parts += [np.array([COLD]), u]
+        parts += [np.array([COLD]), after(u, dynamics, grid.dt, float(u[0]))]
     return np.concatenate(parts)
+
+
+def after(u: Floats, dynamics: RigDynamics, dt: float, start: float) -> Floats:
+    """Return what comes of u (n,) behind both lags: (1 - share) L1 u + share L2 u, each tau dx/dt = u - x, u held.
+
+    Parameters
+    ----------
+    u : (n,) value during the interval that ends at each sample
+    dynamics : lags and share
+    dt : [s]
+    start : value before the first sample, at which both rest
+    """
+
+    def lagged(lag: float) -> Floats:
+        if not lag:
+            return u
+        keep = np.exp(-dt / lag)
+        return np.asarray(lfilter([1.0 - keep], [1.0, -keep], u, zi=[keep * start])[0])
+
+    share = dynamics.slow_share
+    return (
+        (1.0 - share) * lagged(dynamics.lag) + share * lagged(dynamics.slow)
+        if share
+        else lagged(dynamics.lag)
+    )
 
 
 def choose_dynamics(
@@ -113,12 +139,16 @@ def choose_dynamics(
         better = min((tried(one) for one in others), key=lambda one: one.score, default=simple)
         return better if better.score < simple.score + len(values) * np.log(_MARGIN) else simple
 
-    found = min((tried(RigDynamics(falling=way)) for way in (False, True)), key=lambda one: one.score)
+    dt, longest = grids[0].dt, max(grid.current.size for grid in grids)
+    lengths = [k * dt for k in LAGS if k < 0.1 * longest] if rates else []
+    # the sense of a loop that lags shows only behind a lag: without one the way there may look like the way back
+    either = [RigDynamics(falling=way, lag=lag) for way in (False, True) for lag in (0.0, *lengths[::3])]
+    way = min((tried(one) for one in either), key=lambda one: one.score).falling
+    found = tried(RigDynamics(falling=way))
     found = best(found, [replace(found, degree=degree) for degree in DEGREES if degree != found.degree])
     if not rates:
         return found
-    dt, longest = grids[0].dt, max(grid.current.size for grid in grids)
-    lags = [replace(found, lag=k * dt) for k in _LAGS if k < 0.1 * longest]
+    lags = [replace(found, lag=lag) for lag in lengths]
     delays = [replace(found, delay=k * dt) for k in _DELAYS if k < 0.1 * longest]
     lagged = best(found, lags)
     for _ in range(2 if lagged.lag else 0):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,6 +39,7 @@ from vo2_models.identification.play_dictionary import (
     fold_of,
 )
 from vo2_models.identification.rig_dynamics import choose_dynamics
+from vo2_models.identification.rig_heat import RigHeat, choose_heat, free_run, heat_path, heat_scalars
 from vo2_models.recording import RESISTANCE, Recording
 
 __all__ = ["fit_rig"]
@@ -61,9 +63,9 @@ def fit_rig(
 ) -> FitResult:
     """Fit the loops of a device without body, and how they follow the drive.
 
-    Sense, lag or delay and memoryless part are chosen by held-out evidence (`rig_dynamics`); so is whether the plays
-    stand on a grid or are moved, and whether a Preisach law does better. Each sensor's `misfit` is the error on the
-    held-out parts.
+    Sense, lag or delay and memoryless part are chosen by held-out evidence (`rig_dynamics`); so is whether the drive
+    heats (`rig_heat`), whether the plays stand on a grid or are moved, and whether a Preisach law does better. Each
+    sensor's `misfit` is the error on the held-out parts.
 
     Parameters
     ----------
@@ -99,16 +101,17 @@ def fit_rig(
     say("lag, delay and sense", 0.05)
     coverage = coverage_of(grids, device)
     dynamics = choose_dynamics(grids, device, values, rates=not coverage.one_rate)
+    heat = RigHeat("drive", dynamics)
+    if not coverage.one_rate:  # over one rate another coordinate is another shape of the loop
+        say("heat in the film", 0.2)
+        heat = choose_heat(grids, device, values, dynamics)
+    dynamics = heat.dynamics
     ends = (high, low) if dynamics.falling else (low, high)
     if ends != device.operating_range:
         device = device.running(ends)
-    model = DeviceModel(device.key)
-    scalars = {"driver.dead_time": dynamics.delay}
-    if dynamics.lag:
-        scalars["thermal.time_constant"] = dynamics.lag
-    model = replace(model, scalars={**model.scalars, **scalars})
-    path = film_path(model, grids, True)
-    notes = list(coverage.notes)
+    model = DeviceModel(device.key, scalars=heat_scalars(heat, device))
+    path = heat_path(grids, device, heat)[0] if model.heats else film_path(model, grids, True)
+    notes = [*coverage.notes, *heat.notes(device)]
     laws: dict[str, Law] = {}
     sensors: dict[str, SensorModel] = {}
     residuals: dict[str, Floats] = {}
@@ -118,11 +121,13 @@ def fit_rig(
         say(f"loop of {channel}", 0.4 + 0.5 * k / len(roles))
         fold = folds_of_recordings([grid.current for grid in grids], fold_of(np.isfinite(values[role])))
         fit = _loop(path, values[role], dynamics.degree, fold, law)
-        misfit = fit.misfit
         notes.append(f"{channel}: {fit.words}")
         section = SECTIONS[role]
         laws[section] = fit.law
         uncertainty |= {f"{section}.{name}": std for name, std in fit.uncertainty.items()}
+        if model.heats:
+            fit = _run_freely(_with_laws(model, laws), grids, role, values[role], fit, heat)
+        misfit = fit.misfit
         residuals[role] = fit.residual
         residual = float(np.sqrt(np.nanmean(fit.residual**2)))
         noise = device.noise.get(role, noise_of_recordings(recordings, role))
@@ -138,18 +143,45 @@ def fit_rig(
             notes.append(note)
     return FitResult(
         model=replace(
-            model,
-            resistance=laws.get("resistance", PlayBank()),
-            deflection=laws.get("deflection", PlayBank()),
+            _with_laws(model, laws),
             sensors=sensors,
             uncertainty=uncertainty,
         ),
         path=path,
         ends=tuple(int(n) for n in np.cumsum([grid.current.size + 1 for grid in grids])),
         residuals=residuals,
-        settled=True,
+        settled=not model.heats,
         notes=tuple(notes),
     )
+
+
+def _with_laws(model: DeviceModel, laws: Mapping[str, Law]) -> DeviceModel:
+    return replace(
+        model,
+        resistance=laws.get("resistance", PlayBank()),
+        deflection=laws.get("deflection", PlayBank()),
+    )
+
+
+def _run_freely(
+    model: DeviceModel,
+    grids: Sequence[GriddedRecording],
+    role: str,
+    values: Floats,
+    fit: LoopLaw,
+    heat: RigHeat,
+) -> LoopLaw:
+    """The fit with what a free run leaves: its misfit is that of the worst recording.
+
+    The error of a run that heats itself is the run's, not a sample's: of few runs the worst one bounds the next. Where a
+    part was left out between others its error counts, else that of the whole fit.
+    """
+    left = values - free_run(model, grids, role)
+    ends = np.cumsum([0, *(grid.current.size + 1 for grid in grids)])
+    pieces = [left[a:b] for a, b in itertools.pairwise(ends)]
+    worst = max(float(np.sqrt(np.nanmean(piece**2))) for piece in pieces if np.isfinite(piece).any())
+    misfit = max(worst, fit.misfit, *(heat.errors[heat.between] if role == RESISTANCE else ()))
+    return replace(fit, residual=left, misfit=float(misfit))
 
 
 def _along(grids: Sequence[GriddedRecording], role: str) -> Floats:
