@@ -43,7 +43,13 @@ from vo2_studies.reproduce.peltier import (
     reference,
 )
 from vo2_studies.reproduce.pool import run_many
-from vo2_studies.reproduce.sections import arithmetic, chapter_6, chapter_8_own, chapter_8_robustness
+from vo2_studies.reproduce.sections import (
+    arithmetic,
+    chapter_3_5,
+    chapter_6,
+    chapter_8_own,
+    chapter_8_robustness,
+)
 
 KEYS = {"id", "section", "claim", "published", "ours", "unit", "met"}
 
@@ -192,6 +198,17 @@ def test_bad_arguments_end_with_one_line(tmp_path, capsys):
     assert main(["--only", "8.3", "--output", str(blocked / "x")]) == 2
     assert "that may be written into" in capsys.readouterr().err
     assert main(["--draws", "0"]) == 2
+
+
+@pytest.mark.parametrize("criterion", ["sum", "max"])
+def test_table_3_4_is_that_of_narrower_peaks_than_are_printed(criterion):
+    radii, rng = np.arange(1, 31) / 31, np.random.default_rng(1)
+    printed = chapter_3_5._CUTS["3.5.3", "two_peaks", criterion]
+    over = {
+        case: chapter_3_5._over_least(radii, chapter_3_5.scaled_weights(case, rng), printed, criterion)
+        for case in ("two_peaks", "two_peaks_narrow")
+    }
+    assert over["two_peaks"] > 1.1 and over["two_peaks_narrow"] == pytest.approx(1.0, abs=1e-5)
 
 
 def test_what_the_pid_was_tuned_for_contradicts_the_printed_gains():

@@ -7,8 +7,9 @@ from vo2_control.pid import PidGains, pid_controller
 from vo2_models.device import preset, truth
 from vo2_models.self_sensing import PolynomialSelfSensing
 from vo2_studies.reproduce.claims import Context
-from vo2_studies.reproduce.sections import figure_7_5
+from vo2_studies.reproduce.sections import figure_7_5, figure_7_9
 from vo2_studies.reproduce.streamed_loop import streamed_errors
+from vo2_studies.self_sensing.level_study import SchemeErrors
 
 
 def test_the_streamed_loop_is_the_compiled_one():
@@ -39,3 +40,23 @@ def test_change_of_a_loop_is_zero_to_itself_and_the_shift_to_a_shifted_one():
     x, y = -np.cos(angle), np.sin(angle - 0.4)
     assert figure_7_5.change((x, y), (x, y)) == 0.0
     assert np.isclose(figure_7_5.change((x, y), (x, y + 0.25)), 0.25)
+
+
+def test_the_schemes_are_held_against_what_is_published_of_each(monkeypatch):
+    """What is printed in 7.3.1 as ours: every claim met; the proposal twice as good: its own are, a better baseline is not."""
+    found = {
+        kind: SchemeErrors(1e-6 * mean, 1e-6 * largest, 0.0, 1e-6 * time)
+        for kind, (_, mean, largest, time) in figure_7_9._PUBLISHED.items()
+    }
+
+    def missed():
+        monkeypatch.setattr(figure_7_9, "_job", lambda job: found)
+        claims = figure_7_9.run(Context()).claims
+        assert len({claim.id for claim in claims}) == len(claims) == 22
+        return {claim.id for claim in claims if not claim.met}
+
+    assert missed() == set()
+    found["composite"] = SchemeErrors(0.5e-6, 2e-6, 0.0, 1e-5)
+    assert missed() == set()
+    found["egpi"] = SchemeErrors(0.9e-6, 4.65e-6, 0.0, 1.1e-4)
+    assert missed() == {"7.3.1.egpi"}
