@@ -143,7 +143,7 @@ def test_own_heat_is_found_where_it_is_and_not_where_it_is_not(heat, share):
     if heat == "film":
         assert result.model.heats and not result.settled
     found = predict(result.model, _recording(2.45, heat, share)).channels[RESISTANCE]
-    # over the drive, however it lags, a film with a heat of its own is missed by 20 % of its span
-    assert found.error < 0.1 * found.span
+    calibrated = np.log10(np.concatenate([recording[RESISTANCE] for recording in recordings]))
+    assert found.error < 0.03 * np.ptp(calibrated)  # the pulse itself may hardly switch
     if heat != "none":
         assert found.inside > 0.9

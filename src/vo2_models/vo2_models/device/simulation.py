@@ -74,7 +74,12 @@ def nominal_coefficients(device: DeviceDescription) -> Floats:
 
 
 def longest_lag(c: Floats) -> float:
-    """Return the longer of the body's time constants [s] in the coefficients (n,)."""
+    """Return the longer of the body's time constants [s].
+
+    Parameters
+    ----------
+    c : (n,) coefficients
+    """
     slow = c[Coefficient.SLOW_TIME] if c[Coefficient.SLOW_SHARE] else 0.0
     return float(max(c[Coefficient.TIME_CONSTANT], slow))
 

@@ -133,7 +133,7 @@ def lag_scalars(dynamics: RigDynamics) -> dict[str, float]:
 def heat_path(
     grids: Sequence[GriddedRecording], device: DeviceDescription, heat: RigHeat
 ) -> tuple[Floats, float]:
-    """Loop coordinate along all recordings, as `loop_path` gives it, and the gain; heat starts from rest, without drive.
+    """Return the loop coordinate as `loop_path` does, and the gain; heat starts from rest, without drive.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def heat_path(
 
 
 def free_run(model: DeviceModel, grids: Sequence[GriddedRecording], role: str) -> Floats:
-    """Judged response (n,) of a model along all recordings, from rest, its own resistance making the heat.
+    """Return the judged response (n,) along all recordings, from rest, the model's own resistance making the heat.
 
     Parameters
     ----------
