@@ -1,7 +1,7 @@
 """`feedforward`: set-point in, heater current out of the inverse of the model, without feedback.
 
 It commands alone: for feedback beside it, switch it on inside the controller (its parameter `feedforward`). A sample
-without usable set-point leads to what the project calls safe current: hold for three samples, then 0 A.
+without usable set-point leads to what the project calls safe current: hold for three samples, then that of the device.
 """
 
 from __future__ import annotations
