@@ -98,7 +98,7 @@ def test_the_safe_current_is_that_of_the_device_file(tmp_path):
     device = tmp_path / "warm.yaml"
     shipped = (files("vo2_models.device") / "files" / "integrated.yaml").read_text()
     device.write_text(shipped.replace("safe: 0.0", "safe: 2.0e-3").replace("id: integrated", "id: warm"))
-    with controller(f"preset:={device}") as rig:
+    with controller(f"preset:={device}", "pid.kp:=1.4", "pid.ki:=2.03e4") as rig:
         rig.hear("/vo2/command", ("heater_current",))
         rig.add(ControllerNode)
         assert [command_of(rig, k, math.nan) for k in range(1, 6)][-1] == 2.0e-3
