@@ -30,7 +30,6 @@ from vo2_interface.topics import (
     COMMANDER,
     DEFAULT_NAMESPACE,
     MEASUREMENT,
-    SAFE_CURRENT_A,
     SAMPLE_QOS,
 )
 from vo2_models.parameters import Parameter
@@ -77,11 +76,11 @@ class RigNode(ManagedNode):
         self._period_s = 1.0 / (self._table.number("rate_hz") or point.rate_hz)
         self._channels = tuple(str(name) for name in self._table["channels"])  # type: ignore[union-attr]
         self._diagnostics = Diagnostics(self, hardware_id=preset)
-        limits = (point.least_a, point.most_a)
-        self._gate = CommandGate(limits, round(self._period_s * _NS), self._diagnostics)
+        self._safe_a = point.safe_a
+        self._gate = CommandGate(point, round(self._period_s * _NS), self._diagnostics)
         self._stop = EmergencyStop(self, self._diagnostics)
         self._link: Link | None = None
-        self._stamp_ns, self._due_s, self._drives_a = 0, 0.0, SAFE_CURRENT_A
+        self._stamp_ns, self._due_s, self._drives_a = 0, 0.0, self._safe_a
         self._timing = LoopTiming(self._period_s)
         self._reader = SampleReader((*COMMAND_CHANNELS, COMMANDER))
         self._writer = SampleWriter(self._channels, preset)
@@ -97,7 +96,7 @@ class RigNode(ManagedNode):
         table = self._table
         self._link = open_link(table.text("connection"), table.number("timeout_s"))
         try:
-            table.text("protocol.drive").format(SAFE_CURRENT_A)
+            table.text("protocol.drive").format(self._safe_a)
         except (ValueError, IndexError, KeyError) as error:
             raise LinkError(f"protocol.drive: {error}: need one {{}} for the current") from error
         who = self._link.ask(table.text("protocol.identify")) if table.text("protocol.identify") else ""
@@ -141,14 +140,14 @@ class RigNode(ManagedNode):
 
     def _activate(self) -> None:
         self._gate.reset()
-        self._drive(SAFE_CURRENT_A)
+        self._drive(self._safe_a)
         self._switch(True)
         self._due_s, self._stamp_ns = time.monotonic(), 0
 
     def _rest(self) -> None:
         """Safe current, output off."""
         if self._link is not None:
-            self._drive(SAFE_CURRENT_A)
+            self._drive(self._safe_a)
             self._switch(False)
 
     def _cleanup(self) -> None:
@@ -185,7 +184,7 @@ class RigNode(ManagedNode):
     def _apply(self, current_a: float) -> None:
         """Drive a current at once, whatever is commanded the safe one while the graph is stopped."""
         if self._stop.active:
-            current_a = SAFE_CURRENT_A
+            current_a = self._safe_a
         if current_a == self._drives_a:
             return
         try:

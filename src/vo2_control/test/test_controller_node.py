@@ -3,6 +3,7 @@
 import itertools
 import math
 import time
+from importlib.resources import files
 
 import pytest
 from std_srvs.srv import Trigger
@@ -91,6 +92,16 @@ def test_lost_input_holds_three_samples_then_safe_current_then_a_return_without_
         # as near to the safe current as the operating range allows
         assert back == pytest.approx(POINT.lower_a, abs=1e-6), text
         rig.until(lambda: "closed" in rig.status("controller: input")[0])
+
+
+def test_the_safe_current_is_that_of_the_device_file(tmp_path):
+    device = tmp_path / "warm.yaml"
+    shipped = (files("vo2_models.device") / "files" / "integrated.yaml").read_text()
+    device.write_text(shipped.replace("safe: 0.0", "safe: 2.0e-3").replace("id: integrated", "id: warm"))
+    with controller(f"preset:={device}", "pid.kp:=1.4", "pid.ki:=2.03e4") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        rig.add(ControllerNode)
+        assert [command_of(rig, k, math.nan) for k in range(1, 6)][-1] == 2.0e-3
 
 
 def test_wall_time_an_estimator_that_stops_leads_to_the_safe_current():

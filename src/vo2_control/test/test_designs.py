@@ -11,3 +11,10 @@ def test_a_law_without_integral_action_works_about_its_operating_current(operati
     assert law.update(30e-6, 30e-6) == pytest.approx(operating_a)
     # 1 um above the reference: less heating, that is less negative current
     assert law.update(30e-6, 31e-6) == pytest.approx(min(operating_a + 0.05, 0.05))
+
+
+def test_a_device_without_published_gains_needs_gains_or_a_model():
+    where = {"preset": "peltier_chapter8", "sample_period_s": 0.125}
+    with pytest.raises(ValueError, match=r"no gains are published, need pid\.kp, .* or a model"):
+        design_controller("pi", values={}, **where)
+    assert design_controller("pi", values={"pid.kp": -1.4, "pid.ki": -0.01}, **where)

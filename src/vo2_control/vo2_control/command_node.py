@@ -30,7 +30,6 @@ from vo2_interface.topics import (
     MEASUREMENT,
     REFERENCE,
     REFERENCE_CHANNELS,
-    SAFE_CURRENT_A,
     SAMPLE_QOS,
 )
 from vo2_models.parameters import Parameter, Value
@@ -98,7 +97,7 @@ class CommandNode(ManagedNode):
         self._supervisor: Supervisor | None = None
         self._source = source
         self._order, self._age = StampOrder(), SampleAge()
-        self._echo = CommandEcho(SAFE_CURRENT_A, self._point.most_a - self._point.least_a)
+        self._echo = CommandEcho(self._point.safe_a, self._point.most_a - self._point.least_a)
         self._reference: tuple[int, float] | None = None
         self._waiting: tuple[int, tuple[float, ...]] | None = None
         self._answer = b""
@@ -137,7 +136,7 @@ class CommandNode(ManagedNode):
         """Leave the device at the safe current (wall time; in lockstep no time passes without us)."""
         commands = self._supervisor is not None and self._supervisor.mode != "idle"
         if self._wall and commands and self._table.flag("enabled") and self._order.last_ns is not None:
-            self._publish(self._present_ns(), SAFE_CURRENT_A)
+            self._publish(self._present_ns(), self._point.safe_a)
         if self._supervisor is not None:
             self._supervisor.stand_by()
 
@@ -163,7 +162,7 @@ class CommandNode(ManagedNode):
     def _settings(self, reach_m: tuple[float, float]) -> SafetySettings:
         return SafetySettings(
             self._period_s,
-            safe_current_a=SAFE_CURRENT_A,
+            safe_current_a=self._point.safe_a,
             hold_periods=HOLD_SAMPLES,
             reach_m=reach_m,
             wall_time=self._wall,
@@ -287,7 +286,7 @@ class CommandNode(ManagedNode):
         if supervisor is None or self._stop.active:
             if supervisor is not None:
                 supervisor.stand_by()
-            self._publish(stamp_ns, SAFE_CURRENT_A)
+            self._publish(stamp_ns, self._point.safe_a)
             return
         if not math.isfinite(reference):
             self._miss(stamp_ns, f"tip_deflection on {REFERENCE} is {reference}: send finite set-points")
@@ -322,7 +321,7 @@ class CommandNode(ManagedNode):
         """Answer a sample that cannot be used or that did not come."""
         self._waiting = None
         if self._supervisor is None:
-            self._publish(stamp_ns, SAFE_CURRENT_A)
+            self._publish(stamp_ns, self._point.safe_a)
             return
         decision = self._supervisor.lost(stamp_ns * 1e-9, why)
         level = "error" if decision.mode == "safe" else "warn"
@@ -333,7 +332,7 @@ class CommandNode(ManagedNode):
         """Command a current, whatever the law says within what the device bears."""
         current = min(max(current_a, self._point.least_a), self._point.most_a)
         if self._stop.active:
-            current = SAFE_CURRENT_A
+            current = self._point.safe_a
         self._answer = self._writer.write(stamp_ns, (current, *self._name))
         self._publisher.publish(self._answer)
         self._echo.command(stamp_ns, current)

@@ -1,7 +1,7 @@
 """`controller`: set-point and estimated deflection in, heater current out.
 
 One law per sample. A sample without usable input (a NaN, an absent channel, a reference that is missing, an
-estimator that stopped) leads to what the project calls safe current: hold for three samples, then 0 A.
+estimator that stopped) leads to what the project calls safe current: hold for three samples, then that of the device.
 """
 
 from __future__ import annotations

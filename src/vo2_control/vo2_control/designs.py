@@ -233,4 +233,9 @@ def _gains(
         from vo2_control.model_tuning import tuned_from_model
 
         return tuned_from_model(values, sample_period_s, derivative=kind == "pid", limits=limits).gains
+    if preset not in _PUBLISHED[kind]:
+        raise ValueError(
+            f"preset: found {preset!r}, for which no gains are published, need {', '.join(_GAINS)} or a model to tune for: "
+            "load the file that fit wrote"
+        )
     return _PUBLISHED[kind][preset]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import control
@@ -15,13 +13,16 @@ from vo2_models.validation import positive_number
 
 from vo2_control.controller import CurrentLimits, LinearController, LinearLaw
 from vo2_control.generalised_plant import METRE_PER_DESIGN_UNIT, RobustDesign, generalised_plant
-from vo2_control.hinf import DesignRefused, Synthesis, dk_iterate, synthesise
+from vo2_control.hinf import DesignRefused, Synthesis, synthesise
 from vo2_control.mu import mu_sweep
 from vo2_control.sampled_loop import Margins, loop_margins
 
 __all__ = ["Reduction", "RobustLaw", "conditioning_gain", "discrete_law", "reduce_order", "robust_law"]
 
 Array = NDArray[np.float64]
+
+_ALLOWED_COST = 0.05
+"""The lowest order is taken whose gamma and robust performance grow by no more than this fraction."""
 
 
 @dataclass(frozen=True)
@@ -199,9 +200,6 @@ def robust_law(
     *,
     largest_gamma: float = 1.0,
     expected_sign: int = 0,
-    dk_iterations: int = 0,
-    allowed_cost: float = 0.05,
-    slopes_m_per_a: Sequence[float] = (),
 ) -> RobustLaw:
     """Design, reduce, discretise and check: one call from weights to a controller that may run.
 
@@ -210,9 +208,6 @@ def robust_law(
     design : plant, uncertainty and weights
     sample_period_s : [s]
     largest_gamma, expected_sign : as `synthesise`
-    dk_iterations : synthesis steps of a D-K iteration after the first
-    allowed_cost : the lowest order is taken whose gamma and robust performance grow by no more than this fraction
-    slopes_m_per_a : further slopes of deflection over current that the sampled loop must be stable at
 
     Raises
     ------
@@ -220,26 +215,18 @@ def robust_law(
     """
     period = positive_number(sample_period_s, "sample_period_s")
     synthesis = synthesise(design, largest_gamma=largest_gamma, expected_sign=expected_sign)
-    if dk_iterations:
-        candidates = dk_iterate(design, iterations=dk_iterations)
-        synthesis = min(candidates, key=lambda s: s.robust_performance)
     if np.real(synthesis.controller.poles()).max() >= 0:
         raise DesignRefused("controller: found it unstable, need a stable one: a held loop would run away")
     reductions = reduce_order(design, synthesis.controller, fastest_rad_s=10 * np.pi / period)
     corners = [
-        replace(design.plant, gain=gain, time_constant_s=design.time_constant_s * (1 + spread)).sampled(
-            period
-        )
-        for gain, spread in itertools.product(
-            (design.plant.gain, *slopes_m_per_a),
-            (-design.time_constant_spread, 0.0, design.time_constant_spread),
-        )
+        replace(design.plant, time_constant_s=design.time_constant_s * (1 + spread)).sampled(period)
+        for spread in (-design.time_constant_spread, 0.0, design.time_constant_spread)
     ]
     taken, law, worst = None, None, None
     for candidate in reductions:
-        if candidate.gamma > synthesis.gamma * (1 + allowed_cost):
+        if candidate.gamma > synthesis.gamma * (1 + _ALLOWED_COST):
             continue
-        if candidate.robust_performance > synthesis.robust_performance * (1 + allowed_cost):
+        if candidate.robust_performance > synthesis.robust_performance * (1 + _ALLOWED_COST):
             continue
         trial = discrete_law(candidate.controller, period)
         margins = max((loop_margins(trial, c) for c in corners), key=lambda m: m.sensitivity_peak)
@@ -248,6 +235,6 @@ def robust_law(
     if taken is None or law is None or worst is None:
         raise DesignRefused(
             f"sampled loop: found no order of the controller stable at {period:g} s over the uncertainty within "
-            f"{100 * allowed_cost:.0f} % of the continuous design, need one; sample faster or lower the bandwidth"
+            f"{100 * _ALLOWED_COST:.0f} % of the continuous design, need one; sample faster or lower the bandwidth"
         )
     return RobustLaw(law, synthesis, tuple(reductions), taken, worst)

@@ -1,7 +1,7 @@
 """`feedforward`: set-point in, heater current out of the inverse of the model, without feedback.
 
 It commands alone: for feedback beside it, switch it on inside the controller (its parameter `feedforward`). A sample
-without usable set-point leads to what the project calls safe current: hold for three samples, then 0 A.
+without usable set-point leads to what the project calls safe current: hold for three samples, then that of the device.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from vo2_interface.executable import node_main
-from vo2_interface.topics import MEASUREMENT, SAFE_CURRENT_A
+from vo2_interface.topics import MEASUREMENT
 
 from vo2_control.command_node import COMMAND_NODE_PARAMETERS, CommandNode
 from vo2_control.designs import LIMIT_PARAMETERS, design_feedforward, open_loop, reach
@@ -63,7 +63,9 @@ class FeedforwardNode(CommandNode):
             )
         except ValueError as error:
             kept = (
-                "the former inverse stays" if self._ahead else f"safe current {SAFE_CURRENT_A:g} A until then"
+                "the former inverse stays"
+                if self._ahead
+                else f"safe current {self._point.safe_a:g} A until then"
             )
             self._diagnostics.report("model", "error", f"{error}; {kept}")
             return

@@ -37,7 +37,6 @@ from vo2_interface.topics import (
     COMMAND_CHANNELS,
     DEFAULT_NAMESPACE,
     MEASUREMENT,
-    SAFE_CURRENT_A,
     SAMPLE_QOS,
 )
 from vo2_models.identification.digest import DIGEST_PARAMETERS
@@ -115,8 +114,8 @@ class IdentifierNode(ManagedNode):
         records = (*IDENTIFIER_PARAMETERS, *model_parameters(), *DIGEST_PARAMETERS)
         self._table = ParameterTable(self, records, read_only=("preset", "rate_hz", "autostart"))
         self._preset = self._table.text("preset")
-        rate = self._table.number("rate_hz") or operating_point(self._preset).rate_hz
-        self._period_s = 1.0 / rate
+        point = operating_point(self._preset)
+        self._period_s, self._safe_a = 1.0 / (self._table.number("rate_hz") or point.rate_hz), point.safe_a
         self._diagnostics = Diagnostics(self, hardware_id=self._preset)
         self._state, self._said = "idle", ""
         self._currents: NDArray[np.float64] = np.empty(0)
@@ -181,7 +180,7 @@ class IdentifierNode(ManagedNode):
     def rest(self) -> None:
         """Answer the newest sample of an excitation with the safe current: one that has ended leaves it open."""
         if self._order.last_ns is not None:
-            self._publisher.publish(self._writer.write(self._order.last_ns, (SAFE_CURRENT_A,)))
+            self._publisher.publish(self._writer.write(self._order.last_ns, (self._safe_a,)))
 
     # --- services ---------------------------------------------------------------------------------
 
@@ -286,7 +285,7 @@ class IdentifierNode(ManagedNode):
             self._log.append(stamp_ns, values)
             return
         if self._stop.active:
-            self._publisher.publish(self._writer.write(stamp_ns, (SAFE_CURRENT_A,)))
+            self._publisher.publish(self._writer.write(stamp_ns, (self._safe_a,)))
             self._tell("failed", "emergency stop; release it, then call ~/start again")
             return
         if not math.isfinite(values[0]):

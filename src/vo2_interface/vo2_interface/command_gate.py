@@ -6,7 +6,8 @@ import math
 
 from vo2_interface.diagnostics import Diagnostics
 from vo2_interface.lockstep import HOLD_SAMPLES
-from vo2_interface.topics import COMMAND, SAFE_CURRENT_A
+from vo2_interface.model import OperatingPoint
+from vo2_interface.topics import COMMAND
 
 __all__ = ["CommandGate"]
 
@@ -18,7 +19,7 @@ class CommandGate:
 
     Parameters
     ----------
-    limits_a : least and most current that the device bears [A]
+    point : limits and safe current of the device
     period_ns : sample period [ns]
     diagnostics : where refusals are told, as `command`, `commanders` and `stale`
 
@@ -27,8 +28,8 @@ class CommandGate:
     answered_ns : stamp of the newest sample that a command answered
     """
 
-    def __init__(self, limits_a: tuple[float, float], period_ns: int, diagnostics: Diagnostics) -> None:
-        self._least_a, self._most_a = limits_a
+    def __init__(self, point: OperatingPoint, period_ns: int, diagnostics: Diagnostics) -> None:
+        self._least_a, self._most_a, self._safe_a = point.least_a, point.most_a, point.safe_a
         self._period_ns, self._diagnostics = period_ns, diagnostics
         self.reset()
 
@@ -49,7 +50,7 @@ class CommandGate:
             applied = min(max(current_a, self._least_a), self._most_a)
             why = f"outside the {self._least_a:g} to {self._most_a:g} A that the device bears"
         else:
-            applied, why = SAFE_CURRENT_A, "not finite"
+            applied, why = self._safe_a, "not finite"
         self._diagnostics.report(
             "command",
             "error",
@@ -94,15 +95,15 @@ class CommandGate:
         """Begin a sample period; return the current that flows in it [A]."""
         self._silent += 1
         if self._current_a is None:
-            return SAFE_CURRENT_A
+            return self._safe_a
         if self._silent > HOLD_SAMPLES + 1:
             self._diagnostics.report(
                 "command",
                 "error",
-                f"no command for {HOLD_SAMPLES} periods: safe current {SAFE_CURRENT_A:g} A",
+                f"no command for {HOLD_SAMPLES} periods: safe current {self._safe_a:g} A",
             )
             self._current_a = None
-            return SAFE_CURRENT_A
+            return self._safe_a
         if self._silent <= 1 and self._borne:
             self._diagnostics.report("command", "ok", "commands arrive")
         return self._current_a

@@ -20,6 +20,7 @@ class OperatingPoint:
     rate_hz : usual sampling rate
     lower_a, upper_a : range of the operating current [A]
     least_a, most_a : what the device bears [A]; nothing beyond is ever commanded
+    safe_a : safe current [A], `drive.safe` of the device file
     cold_a, hot_a : ends of the operating range by temperature [A]: below and above both transitions
     settle_s : time after which a held current is quasi-static [s]
     deflection_range_m : what "per cent of range" divides by [m]
@@ -30,6 +31,7 @@ class OperatingPoint:
     upper_a: float
     least_a: float
     most_a: float
+    safe_a: float
     cold_a: float
     hot_a: float
     settle_s: float
@@ -54,6 +56,7 @@ def operating_point(preset_id: str) -> OperatingPoint:
         upper_a=max(cold, hot),
         least_a=min(nominal.current_range),
         most_a=max(nominal.current_range),
+        safe_a=nominal.safe,
         cold_a=cold,
         hot_a=hot,
         settle_s=round(_SETTLE_CONSTANTS * nominal.time_constant / nominal.sample_period + 0.5)

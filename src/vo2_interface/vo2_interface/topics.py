@@ -20,7 +20,6 @@ __all__ = [
     "READ_QOS",
     "REFERENCE",
     "REFERENCE_CHANNELS",
-    "SAFE_CURRENT_A",
     "SAMPLE_QOS",
 ]
 
@@ -40,8 +39,6 @@ COMMANDER = "commander"
 """Wall time: channel of a command with the number of the node that commands, so that the plant can listen to one."""
 ESTIMATE_CHANNELS = ("tip_deflection", "temperature_surrogate", "tip_deflection_bound")
 REFERENCE_CHANNELS = ("tip_deflection",)
-
-SAFE_CURRENT_A = 0.0
 
 SAMPLE_QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,

@@ -75,41 +75,28 @@ def test_envelopes_of_their_own_fit_what_shared_ones_cannot():
     assert own.model.order_excess(20, 100)[0] <= 1e-9
 
 
-def test_free_radii_are_found():
-    radii = np.array([0, 0.1, 0.3, 0.5, 0.65, 0.9])
-    device = GPI(radii, WEIGHTS, ENVELOPES)
-    fixed = fit_play_model(TEMPERATURE, record(device, 1e-3), plays=6)
-    free = fit_play_model(TEMPERATURE, record(device, 1e-3), plays=6, free_radii=True)
-    assert free.rms < 0.8 * fixed.rms
-    assert free.nrmse < 1.1e-3
-    np.testing.assert_allclose(free.model.radii, radii, atol=0.05)
-
-
 @given(st.integers(0, 2**32 - 1), st.booleans(), st.sampled_from(sorted(BASES)))
 @settings(max_examples=60, deadline=None)
 def test_no_parameter_vector_breaks_the_order(seed, own, memoryless):
     """Whatever the solver tries, gamma_R - r <= gamma_L + r over the whole input range."""
     rng = np.random.default_rng(seed)
     radii = np.sort(rng.uniform(0, 1, 4)) * [0, 1, 1, 1]
-    parameters = Parametrisation(radii, 4 if own else 1, False, BASES[memoryless])
+    parameters = Parametrisation(radii, 4 if own else 1, BASES[memoryless])
     lower, upper = parameters.bounds()
     x = np.clip(rng.normal(0, 3, parameters.size), lower, np.minimum(upper, 5))
-    arguments, same_radii, _ = parameters.unpack(x)
-    np.testing.assert_array_equal(same_radii, radii)
+    arguments, _ = parameters.unpack(x)
     model = GPI(radii, np.ones(4), TanhEnvelopes(*arguments), input_range=(-1, 1))
     assert model.order_excess(-1, 1)[0] <= 1e-9
 
 
-@given(
-    st.integers(0, 2**32 - 1), st.sampled_from(["shared", "own", "radii"]), st.sampled_from(["tanh", "sine"])
-)
+@given(st.integers(0, 2**32 - 1), st.booleans(), st.sampled_from(["tanh", "sine"]))
 @settings(max_examples=25, deadline=None)
-def test_derivatives_are_those_of_the_model(seed, kind, memoryless):
+def test_derivatives_are_those_of_the_model(seed, own, memoryless):
     """Against central differences of the model's output at fixed linear coefficients."""
     rng = np.random.default_rng(seed)
     z = np.sin(np.linspace(-1.5, 20, 150)) * np.linspace(1, 0.3, 150)
     radii = np.array([0.0, 0.2, 0.5])
-    parameters = Parametrisation(radii, 3 if kind == "own" else 1, kind == "radii", BASES[memoryless])
+    parameters = Parametrisation(radii, 3 if own else 1, BASES[memoryless])
     arguments = np.stack(
         [
             rng.uniform(2, 4, parameters.pairs),
@@ -124,7 +111,7 @@ def test_derivatives_are_those_of_the_model(seed, kind, memoryless):
     found = projection.linear(x)
 
     def output(at):
-        _, _, theta = parameters.unpack(at)
+        _, theta = parameters.unpack(at)
         return (
             projection.regressors(at) @ found.weights
             + parameters.basis.columns(z, theta) @ found.coefficients
@@ -192,7 +179,6 @@ SHORT = np.sin(np.linspace(0, 30, 60))
             r"memoryless: found 'spline', need one of",
         ),
         (lambda: fit_play_model(SHORT, SHORT, initial="left"), r"initial: found 'left'"),
-        (lambda: fit_play_model(SHORT, SHORT, per_play=True, free_radii=True), r"free_radii: found together"),
     ],
 )
 def test_bad_input_is_named(call, message):
@@ -211,7 +197,7 @@ def test_measured_piezo_displacement_is_predicted():
     """
     v, y = np.loadtxt(PIEZO, usecols=(0, 4), unpack=True)
     half = v.size // 2
-    fit = fit_play_model(v[:half], y[:half], plays=12, memoryless="linear", settling=300)
+    fit = fit_play_model(v[:half], y[:half], plays=12, memoryless="linear", measured=np.arange(half) >= 300)
     assert fit.nrmse < 0.006
     _, state = fit.model.simulate(v[:half], fit.initial_state())
     predicted, _ = fit.model.simulate(v[half:], state)
@@ -222,13 +208,13 @@ def test_measured_piezo_displacement_is_predicted():
     assert error < 0.3 * np.sqrt(np.mean((line - y[half:]) ** 2)) / np.ptp(y[half:])
 
 
-def test_settling_samples_drive_the_plays_but_are_not_fitted():
+def test_samples_that_are_not_measured_drive_the_plays_but_are_not_fitted():
     """A record that starts from an unknown memory: skipping the first sweep recovers the model."""
     start = DEVICE.initial_state("upper", v=55.0)
     v = np.concatenate([np.linspace(55, 100, 100), np.linspace(100, 20, 200), TEMPERATURE])
     y, _ = DEVICE.simulate(v, start)
     y[:100] += 0.5
-    fit = fit_play_model(v, y, plays=6, settling=150)
+    fit = fit_play_model(v, y, plays=6, measured=np.arange(v.size) >= 150)
     assert fit.nrmse < 1e-6
     assert fit.residual.size == v.size - 150
     np.testing.assert_allclose(fit.model.weights, WEIGHTS, atol=1e-3)

@@ -1,6 +1,7 @@
 """The plant as a node: lockstep answers, repeats, standing still, wall time with the safe current."""
 
 import itertools
+from importlib.resources import files
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -35,6 +36,17 @@ def test_each_command_advances_one_sample_with_the_values_of_the_library():
     stepper = truth("integrated", seed=3).stepper(seed=4)
     for k, current in enumerate([0.0, *currents]):
         assert heard[S + k * MS] == tuple(stepper.step(current))
+
+
+def test_before_the_first_command_the_safe_current_of_the_device_file_flows(tmp_path):
+    device = tmp_path / "warm.yaml"
+    shipped = (files("vo2_models.device") / "files" / "integrated.yaml").read_text()
+    device.write_text(shipped.replace("safe: 0.0", "safe: 2.0e-3").replace("id: integrated", "id: warm"))
+    with lockstep(f"preset:={device}", "noise:=false") as rig:
+        rig.hear("/vo2/measurement", CHANNELS)
+        rig.add(PlantNode)
+        rig.until(lambda: rig.heard["/vo2/measurement"])
+        assert rig.heard["/vo2/measurement"][0][1][0] == 2.0e-3
 
 
 def test_the_noise_has_a_seed_of_its_own_and_the_device_does_not_change_with_it():

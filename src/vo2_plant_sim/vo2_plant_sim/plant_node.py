@@ -33,7 +33,6 @@ from vo2_interface.topics import (
     COMMANDER,
     DEFAULT_NAMESPACE,
     MEASUREMENT,
-    SAFE_CURRENT_A,
     SAMPLE_QOS,
 )
 from vo2_models.parameters import Parameter
@@ -93,9 +92,9 @@ class PlantNode(Node):
         self._stamp_ns = self._start_ns
         self._command: tuple[int, float] | None = None
         point = operating_point(preset)
-        self._gate = CommandGate((point.least_a, point.most_a), self._period_ns, self._diagnostics)
+        self._gate = CommandGate(point, self._period_ns, self._diagnostics)
         self._timing = LoopTiming(self._device.period)
-        self._used_a = SAFE_CURRENT_A
+        self._used_a = self._safe_a = point.safe_a
         self._clock_every = max(1, _CLOCK_NS // self._period_ns)
         self._beat_every = max(1, _BEAT_NS // self._period_ns)
         names = (*self._device.channels, *TRUE_CHANNELS) if self._truth else self._device.channels
@@ -113,7 +112,7 @@ class PlantNode(Node):
         self._published_at = time.monotonic()
         if self._lockstep:
             SampleInput(self, COMMAND, self._on_command, self._diagnostics)
-            self._advance(SAFE_CURRENT_A)
+            self._advance(self._safe_a)
             self._publish()
             create_steady_timer(self, REPEAT_S / 4.0, self._on_quiet)
         else:
@@ -234,7 +233,7 @@ class PlantNode(Node):
 
     def _advance(self, current_a: float) -> None:
         if self._stop.active:
-            current_a = SAFE_CURRENT_A
+            current_a = self._safe_a
         values = self._device.step(current_a)
         self._used_a = current_a
         self._index += 1

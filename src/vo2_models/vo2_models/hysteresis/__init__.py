@@ -2,12 +2,11 @@
 
 Laws          by name in `LAWS`: `PlayBank`, `CPI`, `GPI`, `EGPI`, `PreisachOperator`, `NonMonotonicPreisach`,
               `BoucWen`, `LimitingLoop`, `DomainEnsemble`; of a model file by `law_from_parameters`
-Plays         envelopes `TanhEnvelopes`, `LinearEnvelopes`, `TabulatedEnvelopes`; memoryless parts `Zero`, `Linear`,
-              `Polynomial`, `Sine`, `Cosine`, `Tanh`, `MemorylessSum`
-Inverses      `law.inverse(input_range)`; `RobustInverse` (any play model, every reachable output), `AnalyticInverse`,
-              `inverse_cpi`, `FixedPointInverse` with `convergence_condition`, `LawInverse` (any law, by bisection)
-From data     `fit_law`, `rank_laws` (any law, judged on held-out excursions); `fit_play_model`; `preisach`;
-              `identify_play_weights` (compressive sensing)
+Plays         envelopes `TanhEnvelopes`, `LinearEnvelopes`; memoryless parts `Zero`, `Linear`, `Polynomial`, `Sine`,
+              `Cosine`, `Tanh`
+Inverses      `law.inverse(input_range)`; `RobustInverse` (any play model, every reachable output), `FixedPointInverse` with
+              `convergence_condition`, `LawInverse` (any law, by bisection)
+From data     `fit_law`, `rank_laws` (any law, judged on held-out excursions); `fit_play_model`; `preisach`
 Smaller       `compress`, `partition` (entropy-optimal)
 Compiled use  `type(law).move(u, law.packed, memory, make)`, one signature for every law
 
@@ -36,11 +35,9 @@ _HOME = {
     "PlayBank": "play_bank",
     "PreisachOperator": "preisach.operator",
     "LinearEnvelopes": "envelopes",
-    "TabulatedEnvelopes": "envelopes",
     "TanhEnvelopes": "envelopes",
     "Cosine": "memoryless",
     "Linear": "memoryless",
-    "MemorylessSum": "memoryless",
     "Polynomial": "memoryless",
     "Sine": "memoryless",
     "Tanh": "memoryless",
@@ -50,16 +47,12 @@ _HOME = {
     "EGPI": "prandtl_ishlinskii",
     "GPI": "prandtl_ishlinskii",
     "OrderWarning": "prandtl_ishlinskii",
-    "AnalyticInverse": "inverse_analytic",
-    "inverse_cpi": "inverse_analytic",
-    "inverse_cpi_state": "inverse_analytic",
     "FixedPointInverse": "inverse_fixed_point",
     "convergence_condition": "inverse_fixed_point",
     "RobustInverse": "inverse_robust",
     "compress": "compression_gpi",
     "merge": "compression_gpi",
     "partition": "compression_gpi",
-    "identify_play_weights": "compressive_sensing_gpi",
     "LawFit": "law_fit",
     "fit_law": "law_fit",
     "rank_laws": "law_fit",

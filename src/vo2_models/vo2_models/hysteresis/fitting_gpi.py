@@ -105,12 +105,9 @@ def fit_play_model(
     radii: ArrayLike | None = None,
     memoryless: str = "none",
     per_play: bool = False,
-    free_radii: bool = False,
     initial: Literal["auto", "lower", "upper"] = "auto",
-    settling: int = 0,
     measured: ArrayLike | None = None,
     input_range: tuple[float, float] | None = None,
-    shrinkage: float = SHRINKAGE,
     max_evaluations: int = 100,
 ) -> PlayFit:
     """Fit a play model with tanh envelopes to a recording.
@@ -125,13 +122,10 @@ def fit_play_model(
     memoryless : "none", "linear", "rising_linear", "quadratic", "cubic", "tanh", "rising_tanh", "sine"; the
         rising ones keep the model monotone
     per_play : then give each play its own envelopes (Table 7.2), starting from the shared ones
-    free_radii : fit all radii but the smallest as well
     initial : saturation the record starts from; "auto" takes the one that fits better
-    settling : first samples that move the plays but are not fitted, where the memory at the start is unknown:
-        up to where the input has been through its range once
-    measured : (n,) False where the output is not to be used and only the input matters
+    measured : (n,) False where the output is not to be used and only the input matters, such as the first samples where
+        the memory at the start is unknown, up to where the input has been through its range once
     input_range : inputs over which the order of the envelopes is kept; None takes those of the record
-    shrinkage : see `SHRINKAGE`
     max_evaluations : of each least-squares run
 
     Returns
@@ -156,28 +150,17 @@ def fit_play_model(
         raise ValueError(f"memoryless: found {memoryless!r}, need one of {', '.join(BASES)}")
     if initial not in ("auto", "lower", "upper"):
         raise ValueError(f"initial: found {initial!r}, need 'auto', 'lower' or 'upper'")
-    if per_play and free_radii:
-        raise ValueError(
-            "free_radii: found together with per_play, need one of them: the two do the same work"
-        )
     r = _radii(radii, plays)
     basis = BASES[memoryless]
-    parameters = Parametrisation(r, 1, False, basis)
-    unknowns = (4 * r.size if per_play else parameters.size + free_radii * r.size) + r.size + 1
+    parameters = Parametrisation(r, 1, basis)
+    unknowns = (4 * r.size if per_play else parameters.size) + r.size + 1
     inputs, outputs = _record(v, y, 2 * unknowns)
-    if int(settling) != settling or not 0 <= settling <= inputs.size - 2 * unknowns:
+    kept = np.ones(inputs.size, dtype=np.bool_) if measured is None else np.asarray(measured, dtype=np.bool_)
+    if kept.shape != inputs.shape or np.count_nonzero(kept) < 2 * unknowns:
         raise ValueError(
-            f"settling: found {settling}, need a whole number from 0 to {inputs.size - 2 * unknowns}"
+            f"measured: found shape {kept.shape} with {np.count_nonzero(kept)} True, need {inputs.shape} with "
+            f"at least {2 * unknowns}"
         )
-    kept = np.arange(inputs.size) >= settling
-    if measured is not None:
-        mask = np.asarray(measured, dtype=np.bool_)
-        if mask.shape != inputs.shape or np.count_nonzero(mask & kept) < 2 * unknowns:
-            raise ValueError(
-                f"measured: found shape {mask.shape} with {np.count_nonzero(mask)} True, need {inputs.shape} with "
-                f"at least {2 * unknowns}"
-            )
-        kept &= mask
     low, high = float(inputs.min()), float(inputs.max())
     if input_range is not None:
         given = finite_array(input_range, "input_range", size=2)
@@ -188,9 +171,10 @@ def fit_play_model(
 
     saturations = (True, False) if initial == "auto" else (initial == "lower",)
     x, projection, evaluations = _shared(z, target, parameters, saturations, kept, max_evaluations)
-    if per_play or free_radii:
-        richer = replace(parameters, pairs=r.size if per_play else 1, free_radii=free_radii)
-        x, projection, more = _richer(x, projection, richer, shrinkage, max_evaluations)
+    if per_play:
+        x, projection, more = _own_envelopes(
+            x, projection, replace(parameters, pairs=r.size), max_evaluations
+        )
         evaluations += more
     return _result(projection, x, (centre, half), (offset, scale), (low, high), evaluations)
 
@@ -229,17 +213,16 @@ def _shared(
     return x, projection, evaluations
 
 
-def _richer(
-    x: FloatArray, shared: Projection, parameters: Parametrisation, shrinkage: float, max_evaluations: int
+def _own_envelopes(
+    x: FloatArray, shared: Projection, parameters: Parametrisation, max_evaluations: int
 ) -> tuple[FloatArray, Projection, int]:
-    """Second stage: one envelope pair per play, or free radii, from the shared fit."""
-    arguments, _, theta = shared.parameters.unpack(x)
-    arguments = arguments[:, : parameters.pairs]
+    """Second stage: one envelope pair per play, from the shared fit."""
+    arguments, theta = shared.parameters.unpack(x)
     projection = Projection(shared.path, shared.record, shared.lower, parameters, shared.kept)
     lower, upper = parameters.bounds()
     start = np.clip(parameters.pack(arguments, theta), lower, upper)
     price = np.zeros(start.size)
-    price[: start.size - theta.size] = shrinkage * np.sqrt(shared.z.size)
+    price[: start.size - theta.size] = SHRINKAGE * np.sqrt(shared.z.size)
 
     def residual(at: FloatArray) -> FloatArray:
         return np.concatenate([projection.residual(at), price * (at - start)])
@@ -262,9 +245,8 @@ def _result(
     """The fit in the units of the record."""
     (centre, half), (offset, scale) = input_map, output_map
     parameters = projection.parameters
-    arguments, radii, theta = parameters.unpack(x)
+    arguments, theta = parameters.unpack(x)
     linear = projection.linear(x)
-    order = np.argsort(radii, kind="stable")
     slopes = arguments[::2] / half
     offsets = arguments[1::2] - slopes * centre
     numbers = [slopes[0], offsets[0], slopes[1], offsets[1]]
@@ -272,8 +254,8 @@ def _result(
         numbers = [number[0] for number in numbers]
     part, constant = parameters.basis.physical(scale * linear.coefficients, theta, centre, half)
     model = EGPI(
-        radii[order],
-        scale * linear.weights[order],
+        parameters.radii,
+        scale * linear.weights,
         TanhEnvelopes(*numbers),
         part,
         offset + scale * linear.bias + constant,

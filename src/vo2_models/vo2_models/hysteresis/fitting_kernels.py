@@ -1,4 +1,4 @@
-"""Compiled regressors of tanh plays and their derivatives with respect to the envelopes and radii.
+"""Compiled regressors of tanh plays and their derivatives with respect to the envelopes.
 
 The output of a play is the envelope value at the instant that last moved it (or its initial memory), so its
 derivative is that of the envelope at that instant: it is carried along with the play, exactly and at no cost.
@@ -10,7 +10,7 @@ import numpy as np
 
 from vo2_models.hysteresis.kernels import exact, tanh
 
-RISING_SLOPE, RISING_OFFSET, FALLING_SLOPE, FALLING_OFFSET, RADIUS = range(5)
+RISING_SLOPE, RISING_OFFSET, FALLING_SLOPE, FALLING_OFFSET = range(4)
 
 
 @exact
@@ -35,14 +35,13 @@ def regressors(z, slopes, radii, lower, outputs):
 def derivatives(z, slopes, radii, lower, weights, columns, out):
     """Derivatives of the weighted sum of the plays: out (n, P) += d/dtheta.
 
-    columns (5, N) says into which column of `out` the derivative with respect to parameter p of play j goes; -1 for
-    none. Shared parameters name the same column for every play.
+    columns (4, N) says into which column of `out` the derivative with respect to parameter p of play j goes. Shared
+    parameters name the same column for every play.
     """
     n = radii.size
     memory = radii - 1.0 if lower else 1.0 - radii
     by_slope = np.zeros(n)
     by_offset = np.zeros(n)
-    by_radius = np.ones(n) if lower else -np.ones(n)
     rose = np.ones(n, dtype=np.bool_)
     previous = -np.inf if lower else np.inf
     for k in range(z.size):
@@ -57,14 +56,9 @@ def derivatives(z, slopes, radii, lower, weights, columns, out):
                     memory[j] = level
                     by_offset[j] = (1.0 - g) * (1.0 + g)
                     by_slope[j] = by_offset[j] * v
-                    by_radius[j] = -1.0 if up else 1.0
                     rose[j] = up
         previous = v
         for j in range(n):
             row = 0 if rose[j] else 2
-            if columns[row, j] >= 0:
-                out[k, columns[row, j]] += weights[j] * by_slope[j]
-            if columns[row + 1, j] >= 0:
-                out[k, columns[row + 1, j]] += weights[j] * by_offset[j]
-            if columns[4, j] >= 0:
-                out[k, columns[4, j]] += weights[j] * by_radius[j]
+            out[k, columns[row, j]] += weights[j] * by_slope[j]
+            out[k, columns[row + 1, j]] += weights[j] * by_offset[j]

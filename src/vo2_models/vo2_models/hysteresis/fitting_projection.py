@@ -40,27 +40,23 @@ SLOPES = (0.05, 200.0)
 
 @dataclass(frozen=True)
 class Parametrisation:
-    """How the solver's vector maps to envelopes and radii.
+    """How the solver's vector maps to envelopes.
 
-    The vector holds c_R, log s_R, log s_L, e for each of M pairs, then the free radii, then the memoryless theta.
+    The vector holds c_R, log s_R, log s_L, e for each of M pairs, then the memoryless theta.
     """
 
     radii: FloatArray
     pairs: int
-    free_radii: bool
     basis: Basis
 
     @property
     def size(self) -> int:
-        return 4 * self.pairs + (self.radii.size - 1) * self.free_radii + len(self.basis.starts[0])
+        return 4 * self.pairs + len(self.basis.starts[0])
 
     @property
     def slack(self) -> FloatArray:
         """kappa of each pair (M,)."""
-        critical = self.radii[: self.pairs]
-        if self.free_radii:
-            critical = np.zeros(self.pairs)
-        return 2 * np.arctanh(np.minimum(critical, LARGEST_RADIUS))
+        return 2 * np.arctanh(np.minimum(self.radii[: self.pairs], LARGEST_RADIUS))
 
     def pack(self, arguments: FloatArray, theta: FloatArray) -> FloatArray:
         """Vector for envelope arguments (4, M) = s_R, c_R, s_L, c_L, moved to the nearest order-preserving ones."""
@@ -71,32 +67,23 @@ class Parametrisation:
             arguments[3],
         )
         e = np.maximum(c_l - c_r + self.slack - np.hypot(s_l - s_r, SMOOTHING), 1e-3)
-        radii = self.radii[1:] if self.free_radii else self.radii[:0]
-        return np.concatenate([c_r, np.log(s_r), np.log(s_l), e, radii, theta])
+        return np.concatenate([c_r, np.log(s_r), np.log(s_l), e, theta])
 
-    def unpack(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Envelope arguments (4, N), radii (N,), theta."""
+    def unpack(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Envelope arguments (4, N), theta."""
         m, n = self.pairs, self.radii.size
         c_r, s_r, s_l, e = x[:m], np.exp(x[m : 2 * m]), np.exp(x[2 * m : 3 * m]), x[3 * m : 4 * m]
         c_l = c_r - self.slack + e + np.hypot(s_l - s_r, SMOOTHING)
         arguments = np.empty((4, n))
         arguments[:] = np.stack([s_r, c_r, s_l, c_l])
-        radii = self.radii
-        end = 4 * m
-        if self.free_radii:
-            radii = np.concatenate([self.radii[:1], x[end : end + n - 1]])
-            end += n - 1
-        return arguments, radii, x[end:]
+        return arguments, x[4 * m :]
 
     def columns(self) -> NDArray[np.int64]:
-        """Where derivatives with respect to s_R, c_R, s_L, c_L and r of each play go (5, N)."""
+        """Where derivatives with respect to s_R, c_R, s_L and c_L of each play go (4, N)."""
         m, n = self.pairs, self.radii.size
-        columns = np.empty((5, n), dtype=np.int64)
+        columns = np.empty((4, n), dtype=np.int64)
         for parameter in range(4):
             columns[parameter] = parameter * m + (np.arange(n) if m == n else 0)
-        columns[4] = -1
-        if self.free_radii:
-            columns[4, 1:] = 4 * m + np.arange(n - 1)
         return columns
 
     def chain(self, natural: FloatArray, x: FloatArray) -> FloatArray:
@@ -112,10 +99,9 @@ class Parametrisation:
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         m = self.pairs
         low_slope, high_slope = np.log(SLOPES)
-        free = (self.radii.size - 1) * self.free_radii
         low, high = self.basis.bounds
-        lower = [[-np.inf] * m, [low_slope] * 2 * m, [0.0] * m, [0.0] * free, low]
-        upper = [[np.inf] * m, [high_slope] * 2 * m, [np.inf] * m, [1.0] * free, high]
+        lower = [[-np.inf] * m, [low_slope] * 2 * m, [0.0] * m, low]
+        upper = [[np.inf] * m, [high_slope] * 2 * m, [np.inf] * m, high]
         return np.concatenate(lower), np.concatenate(upper)
 
 
@@ -152,7 +138,8 @@ class Projection:
 
     def regressors(self, x: FloatArray) -> FloatArray:
         """Outputs of the plays (n, N)."""
-        arguments, radii, _ = self.parameters.unpack(x)
+        arguments, _ = self.parameters.unpack(x)
+        radii = self.parameters.radii
         outputs = np.empty((self.path.size, radii.size))
         fitting_kernels.regressors(self.path, arguments, radii, self.lower, outputs)
         return outputs[self.kept]
@@ -163,7 +150,7 @@ class Projection:
         if self._last is not None and self._last[0] == key:
             return self._last[1]
         plays = self.regressors(x)
-        _, _, theta = self.parameters.unpack(x)
+        _, theta = self.parameters.unpack(x)
         extra = self.parameters.basis.columns(self.z, theta)
         one = np.ones((self.z.size, 1))
         if self.parameters.basis.nonnegative:
@@ -193,9 +180,10 @@ class Projection:
         return self.linear(x).residual
 
     def natural(self, x: FloatArray) -> FloatArray:
-        """d(model)/d(s_R, c_R, s_L, c_L of each pair, free radii, theta) at fixed linear coefficients."""
+        """d(model)/d(s_R, c_R, s_L, c_L of each pair, theta) at fixed linear coefficients."""
         found = self.linear(x)
-        arguments, radii, theta = self.parameters.unpack(x)
+        arguments, theta = self.parameters.unpack(x)
+        radii = self.parameters.radii
         out = np.zeros((self.path.size, self.parameters.size))
         fitting_kernels.derivatives(
             self.path, arguments, radii, self.lower, found.weights, self.parameters.columns(), out

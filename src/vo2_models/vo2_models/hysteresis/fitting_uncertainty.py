@@ -1,6 +1,6 @@
 """How well a record determines a fitted play model: covariance of all its parameters, the linear ones included.
 
-At the solution the full Jacobian J holds the derivatives with respect to the envelopes, the free radii and the
+At the solution the full Jacobian J holds the derivatives with respect to the envelopes and the
 memoryless parameters, and the active regressors. The covariance is s^2 (J^T J)^+, with s^2 from the residual and its
 degrees of freedom, times (1 + rho) / (1 - rho), where rho is the residual's correlation from sample to sample (0 if
 negative): a smooth model error repeats itself and is not averaged away by sampling faster.
@@ -48,7 +48,7 @@ def uncertainties(
     (centre, half), (offset, scale) = input_map, output_map
     parameters = projection.parameters
     linear = projection.linear(x)
-    arguments, radii, theta = parameters.unpack(x)
+    arguments, theta = parameters.unpack(x)
     pairs = parameters.pairs
     extra = parameters.basis.columns(projection.z, theta)
     regressors = np.concatenate([projection.regressors(x), np.ones((projection.z.size, 1)), extra], axis=1)
@@ -82,11 +82,9 @@ def uncertainties(
             to_units[place, slope] = -centre / half
     first = parameters.size
     to_units[first:, first:] *= scale
-    natural = np.concatenate(
-        [arguments[:, :pairs].ravel(), radii[1:] if parameters.free_radii else radii[:0], theta, amounts]
-    )
+    natural = np.concatenate([arguments[:, :pairs].ravel(), theta, amounts])
     values = to_units @ natural
-    values[first + radii.size] += offset
+    values[first + parameters.radii.size] += offset
     covariance = to_units @ covariance @ to_units.T
     return _names(projection), values, covariance
 
@@ -97,8 +95,6 @@ def _names(projection: Projection) -> tuple[str, ...]:
     names = []
     for name in ("rising_slope", "rising_offset", "falling_slope", "falling_offset"):
         names += [name] if pairs == 1 else [f"{name}[{j}]" for j in range(pairs)]
-    if parameters.free_radii:
-        names += [f"radius[{j}]" for j in range(1, plays)]
     names += [f"memoryless_parameter[{k}]" for k in range(len(parameters.basis.starts[0]))]
     names += [f"weight[{j}]" for j in range(plays)]
     names += ["bias"]

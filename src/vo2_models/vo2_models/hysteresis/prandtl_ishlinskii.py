@@ -75,8 +75,8 @@ class PlayModel(Law):
             raise ValueError(f"on_disorder: found {self.on_disorder!r}, need 'refuse', 'warn' or 'accept'")
         bias = float(finite_array(self.bias, "bias", ndim=0))
         terms = self.memoryless.terms()
-        kind, stride, numbers = self.envelopes.packed()
-        header = [radii.size, kind, self.envelopes.plays is None, stride, bias, len(terms)]
+        kind, numbers = self.envelopes.packed()
+        header = [radii.size, kind, self.envelopes.plays is None, bias, len(terms)]
         packed = np.concatenate([np.array(header, dtype=np.float64), weights, radii, numbers, *terms])
         for array in (radii, weights, packed):
             array.setflags(write=False)
@@ -130,13 +130,13 @@ class PlayModel(Law):
         ValueError : envelopes other than tanh, or a memoryless part other than a polynomial.
         """
         terms = self.memoryless.terms()
-        kind, stride, numbers = self.envelopes.packed()
+        kind, numbers = self.envelopes.packed()
         if kind != TANH or any(int(term[0]) != POLYNOMIAL for term in terms):
             raise ValueError(
                 f"model: found {type(self.envelopes).__name__} and {type(self.memoryless).__name__}, need tanh "
                 "envelopes and a polynomial for a bank of plays"
             )
-        pairs = np.broadcast_to(numbers.reshape(2 * stride, -1), (2 * stride, self.plays))
+        pairs = np.broadcast_to(numbers.reshape(4, -1), (4, self.plays))
         polynomial = np.polynomial.Polynomial([self.bias])
         for term in terms:
             polynomial += np.polynomial.Polynomial(term[2:])
@@ -279,14 +279,6 @@ class PlayModel(Law):
         rows = self._checked_state(state, state.shape[0] if state.ndim == 2 else None)
         outputs = rows[:, 1:] @ self.weights + self.bias + self.memoryless(rows[:, 0])
         return outputs if state.ndim == 2 else float(outputs[0])
-
-    def play_outputs(self, v: ArrayLike, state: FloatArray | None = None) -> FloatArray:
-        """Outputs of the plays (n, N) along the inputs v (n,), from `state` or lower saturation."""
-        inputs = finite_array(v, "v")
-        memory = self.initial_state() if state is None else self._checked_state(state, None)[0]
-        outputs = np.empty((inputs.size, self.plays))
-        kernels.play_outputs(self._packed, inputs, memory, outputs)
-        return outputs
 
     def _checked_state(self, state: FloatArray, devices: int | None) -> FloatArray:
         """A writable copy as rows (m, 1 + N)."""

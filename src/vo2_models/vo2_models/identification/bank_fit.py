@@ -210,7 +210,6 @@ def fit_bank(
     values: Floats,
     start: BankShape,
     *,
-    weights: Floats | None = None,
     iterations: int = 120,
     tolerance: float = 3e-5,
 ) -> BankFit:
@@ -221,7 +220,6 @@ def fit_bank(
     temperature : the path from the device's cold rest on, without gaps
     values : measured values in path order, NaN where missing
     start : where to begin; also the centre of a weak prior that keeps unused plays where they are
-    weights : (n,) relative weights of the samples' squared residuals, None for equal ones
     iterations : most steps
     tolerance : relative decrease of the squared residual at which the fit ends
 
@@ -238,12 +236,11 @@ def fit_bank(
     plays = start.centre.size
     if np.count_nonzero(ok) < 2 * theta.size:
         raise ValueError(f"values: found {np.count_nonzero(ok)} measured, need at least {2 * theta.size}")
-    root = np.ones(np.count_nonzero(ok)) if weights is None else np.sqrt(weights[ok])
     rules = shape_rules(plays, theta.size, values)
 
     def gap(vector: Floats) -> tuple[Floats, Callable[[], Floats]]:
         model, jacobian = evaluate(BankShape.of(vector, plays), temperature)
-        return (model - values)[ok] * root, lambda: jacobian[ok] * root[:, None]
+        return (model - values)[ok], lambda: jacobian[ok]
 
     found = levenberg_marquardt(
         gap,
