@@ -1,12 +1,14 @@
 """The printed parameters as files: what they say is what is printed, and every node that they are for takes them."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from vo2_identification.compress import main as compress
 from vo2_models.device.model import DeviceModel
 from vo2_models.hysteresis import EGPI, Cosine
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.excitation import damped_oscillation
 from vo2_models.model_file import load_model_parameters
 from vo2_models.self_sensing import self_sensing
@@ -74,7 +76,7 @@ def test_tables_of_a_model_file_that_do_not_rise_or_do_not_fit_are_one_line(chan
     ],
 )  # fmt: skip
 def test_plays_that_are_not_monotonic_are_one_line_wherever_a_model_is_read(name, change, said):
-    parameters = load_model_parameters(FOLDER / "tables_7_1_and_7_2.yaml")
+    parameters: dict[str, Any] = dict(load_model_parameters(FOLDER / "tables_7_1_and_7_2.yaml"))
     parameters[f"model.resistance.{name}"] = change(list(parameters[f"model.resistance.{name}"]))
     for read in (DeviceModel.from_parameters, lambda p: self_sensing("composite", p)):
         with pytest.raises(ValueError, match=said) as refused:
@@ -84,7 +86,7 @@ def test_plays_that_are_not_monotonic_are_one_line_wherever_a_model_is_read(name
 
 def test_a_grid_that_does_not_rise_is_one_line_when_a_model_is_read():
     parameters = load_model_parameters(FOLDER / "tables_7_1_and_7_2.yaml")
-    grid = {"law": "preisach", "walls": [0.0, 2.0, 1.0], "density": [1.0] * 3, "bias": 0.0}
+    grid: dict[str, Any] = {"law": "preisach", "walls": [0.0, 2.0, 1.0], "density": [1.0] * 3, "bias": 0.0}
     kept = {k: v for k, v in parameters.items() if not k.startswith("model.resistance.")}
     with pytest.raises(ValueError, match=r"model.resistance.walls: found 1 after 2 at index 2"):
         DeviceModel.from_parameters(kept | {f"model.resistance.{k}": v for k, v in grid.items()})
@@ -122,5 +124,6 @@ def test_the_printed_tables_can_be_compressed(tmp_path):
         == 0
     )
     model = DeviceModel.load(small)
-    assert np.size(model.deflection.weights) == np.size(model.resistance.weights) == 3
+    for law in (model.deflection, model.resistance):
+        assert isinstance(law, PlayBank) and np.size(law.weights) == 3
     assert self_sensing("composite", load_model_parameters(small)).initial_state() is not None

@@ -85,10 +85,12 @@ def adequacy_of(option: Option, problem: LinearisedProblem, left_out: float, lim
 def sureness(option: Option) -> float:
     """Return how surely the stretches of the recordings say together that each effect acts, in standard deviations.
 
-    With x what an effect changes beside the others and e what is left, the nuisance model taken out of both, x'x + x'e is known
-    up to the scatter of x'e. In noise this scatters by the root of x'x, which gives the root of the gain. Misfit goes on over
-    many samples: the sum of x'e over a long stretch counts once, as in White's covariance for clusters. What a misfit has of a
-    pattern, it has in some stretches and not in others. Cameron and Miller, J. Hum. Resour. 50, 317, 2015.
+    With x what an effect changes beside the others and e what is left, the nuisance model taken out of both, its gain is
+    x'x + 2 x'e, or less where the nuisance model has paid for moving along. In noise x'e scatters by the root of x'x, which
+    makes the root of the gain the certainty. Misfit goes on over many samples: the sum of x'e over a long stretch counts once,
+    as in White's covariance for clusters, and S^2, the sum of their squares, may be larger. The certainty is the root of
+    gain x'x / S^2. What a misfit has of a pattern, it has in some stretches and not in others.
+    Cameron and Miller, J. Hum. Resour. 50, 317, 2015.
 
     Parameters
     ----------
@@ -105,8 +107,9 @@ def sureness(option: Option) -> float:
     def one(key: str) -> float:
         acting = trace(final, key)
         x = straight.apply_inverse_covariance(acting)
-        own = float(x @ acting)
-        scatter = max(float(np.sum(final.over_stretches(x * left) ** 2)), own, 1e-12)
-        return (own + float(x @ left)) / float(np.sqrt(scatter))
+        own = max(float(x @ acting), 1e-12)
+        wider = max(float(np.sum(final.over_stretches(x * left) ** 2)) / own, 1.0)
+        gain = min(own + 2.0 * float(x @ left), option.chosen.gain)
+        return float(np.sqrt(max(gain, 0.0) / wider))
 
     return min(one(key) for key in option.chosen.keys)

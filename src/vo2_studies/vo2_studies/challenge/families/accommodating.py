@@ -88,8 +88,7 @@ def draw(rng: np.random.Generator, film: Statistics, misfit: float) -> Film:
 
     def law(up: Array, down: Array) -> Accommodating:
         share = grains.weight.reshape(-1, COARSE).sum(axis=1)
-        return Accommodating(
-            *(x.reshape(-1, COARSE).mean(axis=1) for x in (up, down)), share / share.sum(), rate
-        )
+        rising, falling = (x.reshape(-1, COARSE).mean(axis=1) for x in (up, down))
+        return Accommodating(rising, falling, share / share.sum(), rate)
 
     return Film(law(grains.up_metal, grains.down_metal), law(grains.up_structure, grains.down_structure))
