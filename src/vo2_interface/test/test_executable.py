@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from vo2_interface.testing import bench
+from vo2_interface.testing import bench, free_domain
 
 STUCK = """
 import ctypes
@@ -32,6 +32,17 @@ def test_a_process_that_cannot_leave_is_ended_and_says_where_it_hung():
     assert "Timeout" in done.stderr
     assert "destroy_node" in done.stderr
     assert "left" not in done.stdout
+
+
+def test_test_runs_beside_each_other_have_domains_of_their_own():
+    own = {free_domain() for _ in range(20)}
+    taken = "from vo2_interface.testing import free_domain; print(*(free_domain() for _ in range(100)))"
+    done = subprocess.run(
+        [sys.executable, "-c", taken], capture_output=True, text=True, timeout=50, check=False
+    )
+    others = {int(word) for word in done.stdout.split()}
+    assert done.returncode == 0, done.stderr
+    assert len(own) == 20 and len(others) >= 40 and not own & others
 
 
 def test_a_subscription_keeps_as_many_samples_as_it_asks_for():
