@@ -84,8 +84,8 @@ class Limits:
     else_base: float = _limit(
         2.15,
         "log odds of something else: constant; fitted by `challenge.calibrate` to the 41 names, 36 right, of 92 cases of seven "
-        "families (seeds 20261404 and 20261405), given without this rule; left out in turn, of 27 names at a mean probability "
-        "of 0.84 27 were right, of 14 at 0.92 9",
+        "families (seeds 20261404 and 20261405), given without this rule, 64 cases without `sure` too; left out "
+        "in turn, of 27 names at a mean probability of 0.84 27 were right, of 14 at 0.92 9",
     )
     else_open: float = _limit(
         1.73,
@@ -97,7 +97,7 @@ class Limits:
         "least certainty of a named effect, in standard deviations by the scatter over stretches of the recording; in noise "
         "it is the root of `gain`. The best single effects of unchanged devices, and wrong ones, reached 4 to 16 on 18 "
         "recordings of bouc_wen and jiles_atherton (seeds 20261401, 20261402), second effects that are none 8 to 14, right "
-        "names 20 to 500",
+        "names 20 to 500, before it was bounded by the gain, which took an unchanged device of proximity from 32 to 13",
     )
     dominated: float = _limit(
         0.5,

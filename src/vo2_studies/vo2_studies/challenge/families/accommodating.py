@@ -3,7 +3,7 @@
     q_k = 1 where T has passed the heating threshold of cluster k, 0 where it has passed the cooling one, then
     dq_k / d|s| = lambda (s - q_k),    s = sum_k share_k q_k
 
-Della Torre, IEEE Trans. Magn. 30, 2701, 1994; Vajda and Della Torre, IEEE Trans. Magn. 31, 1775, 1995: small loops do not
+After Della Torre's accommodation, IEEE Trans. Magn. 30, 2701, 1994, with hysterons in clusters: small loops do not
 close, they drift towards a place of their own as they are repeated, and what was wiped out is not forgotten at once.
 """
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vo2_models.numerics.kernel import kernel
 
 from vo2_studies.challenge.families.domains import draw_grains
-from vo2_studies.challenge.families.law import Film, Statistics, implement
+from vo2_studies.challenge.families.law import Film, Statistics, implement, widened
 
 __all__ = ["Accommodating", "draw"]
 
@@ -74,8 +74,8 @@ def _advance(law, memory, level, step):
 
 
 def _widen(law: Accommodating, width: float) -> Accommodating:
-    middle, wide = (law.up + law.down) / 2, np.maximum(law.up - law.down + width, 0.1)
-    return law._replace(up=middle + wide / 2, down=middle - wide / 2)
+    up, down = widened(law.up, law.down, width)
+    return law._replace(up=up, down=down)
 
 
 implement(Accommodating, settle=_settle, advance=_advance, widen=_widen)

@@ -36,6 +36,7 @@ __all__ = [
     "settle",
     "trace",
     "widen",
+    "widened",
 ]
 
 Array = NDArray[np.floating]
@@ -88,6 +89,12 @@ def implement(
 def widen(law: Any, width: float) -> Any:
     """Return `law` with its loop wider by `width` [K] about the same middle."""
     return _WIDEN[type(law)](law, width)
+
+
+def widened(up: Array, down: Array, width: float) -> tuple[Array, Array]:
+    """Return thresholds of heating and cooling (n,) [degC] further apart by `width` [K] about the same middles, in order."""
+    middle, wide = (up + down) / 2, np.maximum(up - down + width, 0.1)
+    return middle + wide / 2, middle - wide / 2
 
 
 def settle(law, level):

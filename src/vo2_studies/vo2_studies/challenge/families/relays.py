@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vo2_models.numerics.kernel import kernel
 
-from vo2_studies.challenge.families.law import implement
+from vo2_studies.challenge.families.law import implement, widened
 
 __all__ = ["Relays", "relays"]
 
@@ -114,8 +114,7 @@ def _absorb(law, memory, temperature, shift, heat, latent, step):
 def _widen(law: Relays, width: float) -> Relays:
     up, down = np.empty_like(law.up), np.empty_like(law.down)
     up[law.up_grain], down[law.down_grain] = law.up, law.down
-    middle, wide = (up + down) / 2, np.maximum(up - down + width, 0.1)  # a relay's thresholds are ordered
-    return relays(middle + wide / 2, middle - wide / 2, law.weight)
+    return relays(*widened(up, down, width), law.weight)
 
 
 implement(Relays, settle=_settle, advance=_advance, widen=_widen, absorb=_absorb)
