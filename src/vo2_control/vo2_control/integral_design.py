@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize
 
+from vo2_control.controller import LinearLaw
 from vo2_control.discretise import RobustLaw, robust_law
 from vo2_control.generalised_plant import LeadLag, RobustDesign
 from vo2_control.hinf import DesignRefused
@@ -28,12 +29,13 @@ __all__ = [
     "covering_weight",
     "integral_design",
     "integral_laws",
+    "tuned_integral_law",
 ]
 
 _INTEGRATOR_RAD_S = 1e-5
 BANDWIDTHS_RAD_S = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4)
 EFFORTS = (0.1,)
-"""Grid of `integral_laws` [rad/s, um/A]: from far below the loop's reach to where no plant keeps its margins."""
+"""Grid of `tuned_integral_law` [rad/s, um/A]: from far below the loop's reach to where no plant keeps its margins."""
 _COVERED_RAD_S = (1e-4, 3.0)
 
 
@@ -189,3 +191,35 @@ def integral_laws(
     if not found:
         raise DesignRefused(f"weights: none of {len(grid)} designs keeps the limits; the last: {reason}")
     return found
+
+
+def tuned_integral_law(
+    nominal: ThermalLag,
+    plants: Sequence[ThermalLag],
+    sample_period_s: float,
+    cost: Callable[[LinearLaw], float],
+    *,
+    max_sensitivity: float = 1.6,
+    expected_sign: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> RobustLaw:
+    """Return the law of least cost among `integral_laws`, which see for parameters and errors.
+
+    Parameters
+    ----------
+    nominal : plant of the design
+    plants : all of which must keep the limit
+    sample_period_s : [s]
+    max_sensitivity : limit of Ms and Mt
+    expected_sign : sign of the plant's gain
+    progress : called with the share done, 0 to 1
+    """
+    laws = integral_laws(
+        nominal,
+        plants,
+        sample_period_s,
+        max_sensitivity=max_sensitivity,
+        expected_sign=expected_sign,
+        progress=progress,
+    )
+    return min(laws, key=lambda robust: cost(robust.law))

@@ -222,7 +222,7 @@ def test_streaming_many_devices():
     operator = random_operator(np.random.default_rng(4), 6)
     inputs = np.random.default_rng(5).uniform(-1, 2, (3, 40))
     state = operator.initial_memory(devices=3)
-    streamed = np.stack([operator.run(column[:, None], state)[:, 0] for column in inputs.T], axis=1)
+    streamed = np.stack([operator.step_devices(column, state) for column in inputs.T], axis=1)
     assert np.array_equal(streamed, operator(inputs))
     assert same(state[1], operator.memory(inputs[1]))
     with pytest.raises(ValueError, match=r"memory: found shape \(3, 63\), need \(63,\)"):

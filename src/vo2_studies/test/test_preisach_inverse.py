@@ -134,6 +134,8 @@ def test_nonmonotonic_model_is_equation_5_7_plus_preisach():
     assert q0 + q1 * inside + q2 * inside**2 == pytest.approx(model.expansion(inside))
     state = operator.initial_memory()
     assert [model.step(t, state) for t in temperature] == pytest.approx(model(temperature).tolist())
+    linear = NonMonotonicPreisach.with_linear_term(operator, -3.0)
+    assert linear(temperature) == pytest.approx(operator(temperature) - 3.0 * temperature)
 
 
 @settings(deadline=None)  # the first call compiles
@@ -145,7 +147,7 @@ def test_nonmonotonic_batch_streaming_devices_and_rate_agree(seed, level):
     t = rng.uniform(low - 3.0, high + 3.0, (3, 30))
     batch = model(t)
     state = model.operator.initial_memory(devices=3)
-    streamed = np.stack([model.run(column[:, None], state)[:, 0] for column in t.T], axis=1)
+    streamed = np.stack([model.step_devices(column, state) for column in t.T], axis=1)
     one = model.operator.initial_memory()
     assert [model.step(x, one) for x in t[0]] == pytest.approx(batch[0].tolist(), rel=1e-13, abs=1e-9)
     assert np.array_equal(streamed, batch)

@@ -170,6 +170,11 @@ class DeviceDescription:
         return any(r.role == RESISTANCE and r.unit == "ohm" for r in self.responses)
 
     @property
+    def has_structure(self) -> bool:
+        """Whether there is a tip response."""
+        return any(r.role == TIP_DEFLECTION for r in self.responses)
+
+    @property
     def key(self) -> str:
         """What stands for this device in a model: its id if it is a shipped one, else its whole description."""
         return self.id if self.id in PRESETS and preset(self.id) == self else self.document

@@ -102,6 +102,11 @@ class NonMonotonicPreisach(Law):
         linear = -(self.k0 - rate * low) + rate * self.reference
         object.__setattr__(self, "parabola", (float(constant), float(linear), float(-rate)))
 
+    @classmethod
+    def with_linear_term(cls, operator: PreisachOperator, slope: float) -> NonMonotonicPreisach:
+        """Return mu_0 + c_d v + Preisach, (4.19): the same expansion in both phases."""
+        return cls(operator, -slope, -slope, 0.0)
+
     def expansion(self, temperature: ArrayLike) -> Floats:
         """Return the memoryless part kappa_E (5.7) at `temperature` [degC], any shape."""
         t = np.asarray(temperature, dtype=np.float64)
@@ -139,6 +144,10 @@ class NonMonotonicPreisach(Law):
         from vo2_models.hysteresis.preisach.nonmonotonic_inverse import NonMonotonicInverse
 
         return NonMonotonicInverse(self)
+
+    def step_devices(self, temperature: ArrayLike, memory: Floats) -> Floats:
+        """Apply one temperature [degC] to each device and return the outputs (devices,); `memory` changes in place."""
+        return self.operator.step_devices(temperature, memory) + self.expansion(temperature)
 
     def run(self, u: ArrayLike, memory: Floats | None = None) -> Floats:
         """Apply temperatures (n,) or (devices, n) [degC]; return the outputs; `memory` changes in place."""

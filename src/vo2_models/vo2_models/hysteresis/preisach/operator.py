@@ -203,6 +203,15 @@ class PreisachOperator(Law):
             finite_array(u, "u", ndim=0)
         return output
 
+    def step_devices(self, v: ArrayLike, memory: Floats) -> Floats:
+        """Apply one input to each device and return the outputs (devices,); `memory` changes in place.
+
+        Raises
+        ------
+        ValueError : `v` not finite, or not as many as the memory has rows.
+        """
+        return self.run(finite_array(v, "v")[:, None], memory)[:, 0]
+
     def run(self, u: ArrayLike, memory: Floats | None = None) -> Floats:
         """Apply inputs and return the outputs, of their shape; `memory` changes in place.
 
