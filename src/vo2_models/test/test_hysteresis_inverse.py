@@ -15,6 +15,7 @@ from vo2_models.hysteresis import (
     Polynomial,
     RobustInverse,
     Sine,
+    TabulatedEnvelopes,
     Tanh,
     TanhEnvelopes,
     Zero,
@@ -45,15 +46,20 @@ def random_model(seed, part, *, family, shared, n=6):
     radii = radii if radii.any() else np.arange(n) / n
     weights = rng.uniform(0, 2, n) * (rng.random(n) < 0.8) + 0.01
     slope, middle, half = rng.uniform(0.4, 3, size), rng.uniform(-1, 1, size), rng.uniform(0, 1, size)
-    kind = TanhEnvelopes if family == "tanh" else LinearEnvelopes
-    envelopes = kind(slope, middle - half, slope, middle + half)
+    if family == "table":
+        x = np.linspace(-4, 4, 11)
+        y = np.cumsum(rng.uniform(0.02, 0.5, x.size if shared else (n, x.size)), axis=-1) - 1.5
+        envelopes = TabulatedEnvelopes(x, y, y + 0.3)
+    else:
+        kind = TanhEnvelopes if family == "tanh" else LinearEnvelopes
+        envelopes = kind(slope, middle - half, slope, middle + half)
     model = EGPI(radii, weights, envelopes, part)
     # envelopes far apart leave plays that never move: such a model has nothing to invert
     assume(output_range(model, *RANGE) > 1e-3)
     return model
 
 
-@given(seeds, parts, st.sampled_from(["tanh", "linear"]), st.booleans(), sequences)
+@given(seeds, parts, st.sampled_from(["tanh", "linear", "table"]), st.booleans(), sequences)
 @example(
     10266,
     Polynomial([0.1, -0.5, 0.0, 0.05]),
@@ -79,7 +85,7 @@ def test_every_reachable_output_is_reached_by_the_nearest_input(seed, part, fami
         assert model.output(state) == pytest.approx(found.output, abs=1e-12)
 
 
-@given(seeds, parts, st.sampled_from(["tanh", "linear"]), st.booleans(), sequences, st.floats(-2, 2))
+@given(seeds, parts, st.sampled_from(["tanh", "linear", "table"]), st.booleans(), sequences, st.floats(-2, 2))
 @settings(max_examples=80, deadline=None)
 def test_no_input_comes_closer_to_an_unreachable_output(seed, part, family, shared, values, factor):
     """Against a search on a fine grid from the same state: nothing there beats the answer."""
@@ -96,7 +102,7 @@ def test_no_input_comes_closer_to_an_unreachable_output(seed, part, family, shar
         assert found.reached
 
 
-@given(seeds, parts, st.sampled_from(["tanh", "linear"]), st.booleans(), sequences, sequences)
+@given(seeds, parts, st.sampled_from(["tanh", "linear", "table"]), st.booleans(), sequences, sequences)
 @settings(max_examples=60, deadline=None)
 def test_two_inputs_reach_what_any_sequence_reaches(seed, part, family, shared, history, future):
     """A wish taken from the end of a random sequence is met by at most two inputs from the present memory."""

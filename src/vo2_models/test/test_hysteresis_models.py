@@ -15,10 +15,12 @@ from vo2_models.hysteresis import (
     Cosine,
     Linear,
     LinearEnvelopes,
+    MemorylessSum,
     OrderWarning,
     Play,
     Polynomial,
     Sine,
+    TabulatedEnvelopes,
     Tanh,
     TanhEnvelopes,
     Zero,
@@ -42,8 +44,14 @@ def ordered_models(draw, *, nonnegative=True, memoryless=True):
     slope = rng.uniform(0.3, 1.5, size)
     middle = rng.uniform(-0.5, 0.5, size)
     half_width = rng.uniform(0.0, 1.0, size)
-    kind = draw(st.sampled_from([TanhEnvelopes, LinearEnvelopes]))
-    envelopes = kind(slope, middle - half_width, slope, middle + half_width)
+    family = draw(st.sampled_from(["tanh", "linear", "table"]))
+    if family == "table":
+        x = np.linspace(-5, 5, 23)
+        y = np.cumsum(rng.uniform(0.01, 0.5, x.size if size is None else (n, x.size)), axis=-1)
+        envelopes = TabulatedEnvelopes(x, y, y + half_width.max() if size else y + half_width)
+    else:
+        kind = TanhEnvelopes if family == "tanh" else LinearEnvelopes
+        envelopes = kind(slope, middle - half_width, slope, middle + half_width)
     part = Zero()
     if memoryless:
         part = draw(
@@ -55,6 +63,7 @@ def ordered_models(draw, *, nonnegative=True, memoryless=True):
                     Cosine(-0.5, 0.9),
                     Tanh(1.1, 0.6, -0.3),
                     Polynomial([0.3, -0.2, 0.1]),
+                    MemorylessSum((Linear(0.4), Tanh(-0.6, 2.0))),
                 ]
             )
         )
@@ -272,6 +281,8 @@ LINE = LinearEnvelopes()
             r"rising_slope: found -1 at index 0, need slopes above 0",
         ),
         (lambda: TanhEnvelopes([1.0], 0.0, 1.0, 0.0), r"rising_offset: found shape \(\), need \(1,\)"),
+        (lambda: TabulatedEnvelopes([0, 1], [1, 0], [1, 2]), r"rising_values: found 0 after 1 at index 1"),
+        (lambda: TabulatedEnvelopes([0], [1], [1]), r"inputs: found 1 knot\(s\), need at least 2"),
         (
             lambda: GPI([0.1], [1.0], TanhEnvelopes([1] * 2, [0] * 2, [1] * 2, [0] * 2)),
             r"envelopes: found pairs",

@@ -21,7 +21,6 @@ from numba.core import types
 from numba.extending import intrinsic, overload
 from numpy.typing import ArrayLike, NDArray
 
-from vo2_models.hysteresis import layout
 from vo2_models.hysteresis.law import Law
 from vo2_models.hysteresis.laws import FILED
 from vo2_models.hysteresis.play_bank import middle_plays, move_plays
@@ -63,7 +62,7 @@ def first_memory(packed: Floats) -> Floats:
     count = int(packed[0])
     state = np.empty(count + 1)
     state[0] = -1e6
-    state[1:] = -1.0 + packed[layout.HEADER + count : layout.HEADER + 2 * count]
+    state[1:] = -1.0 + packed[6 + count : 6 + 2 * count]
     return state
 
 

@@ -2,8 +2,8 @@
 
 Laws          by name in `LAWS`: `PlayBank`, `CPI`, `GPI`, `EGPI`, `PreisachOperator`, `NonMonotonicPreisach`,
               `BoucWen`, `LimitingLoop`, `DomainEnsemble`; of a model file by `law_from_parameters`
-Plays         envelopes `TanhEnvelopes`, `LinearEnvelopes`; memoryless parts `Zero`, `Linear`, `Polynomial`, `Sine`,
-              `Cosine`, `Tanh`
+Plays         envelopes `TanhEnvelopes`, `LinearEnvelopes`, `TabulatedEnvelopes`; memoryless parts `Zero`, `Linear`,
+              `Polynomial`, `Sine`, `Cosine`, `Tanh`, `MemorylessSum`
 Inverses      `law.inverse(input_range)`; `RobustInverse` (any play model, every reachable output), `FixedPointInverse` with
               `convergence_condition`, `LawInverse` (any law, by bisection)
 From data     `fit_law`, `rank_laws` (any law, judged on held-out excursions); `fit_play_model`; `preisach`
@@ -35,9 +35,11 @@ _HOME = {
     "PlayBank": "play_bank",
     "PreisachOperator": "preisach.operator",
     "LinearEnvelopes": "envelopes",
+    "TabulatedEnvelopes": "envelopes",
     "TanhEnvelopes": "envelopes",
     "Cosine": "memoryless",
     "Linear": "memoryless",
+    "MemorylessSum": "memoryless",
     "Polynomial": "memoryless",
     "Sine": "memoryless",
     "Tanh": "memoryless",

@@ -6,6 +6,7 @@ Both are strictly increasing. One pair may serve every play (chapters 3 and 6), 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -13,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.hysteresis import layout
-from vo2_models.validation import finite_array
+from vo2_models.validation import finite_array, increasing
 
-__all__ = ["Envelopes", "LinearEnvelopes", "TanhEnvelopes"]
+__all__ = ["Envelopes", "LinearEnvelopes", "TabulatedEnvelopes", "TanhEnvelopes"]
 
 FloatArray = NDArray[np.float64]
 
@@ -38,8 +39,8 @@ class Envelopes(Protocol):
     def falling(self, v: ArrayLike) -> FloatArray:
         """gamma_L(v); with one pair per play a trailing axis of length N is added."""
 
-    def packed(self) -> tuple[int, FloatArray]:
-        """Kind and numbers as `kernels` lays them out."""
+    def packed(self) -> tuple[int, int, FloatArray]:
+        """Kind, stride and numbers as `kernels` lays them out."""
 
 
 def _pairs(**named: ArrayLike) -> dict[str, FloatArray]:
@@ -132,8 +133,8 @@ class TanhEnvelopes(_AffinePair):
     def falling(self, v: ArrayLike) -> FloatArray:
         return np.tanh(self._argument(v, self.falling_slope, self.falling_offset))
 
-    def packed(self) -> tuple[int, FloatArray]:
-        return layout.TANH, self._numbers()
+    def packed(self) -> tuple[int, int, FloatArray]:
+        return layout.TANH, 2, self._numbers()
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,5 +162,95 @@ class LinearEnvelopes(_AffinePair):
     def falling(self, v: ArrayLike) -> FloatArray:
         return self._argument(v, self.falling_slope, self.falling_offset)
 
-    def packed(self) -> tuple[int, FloatArray]:
-        return layout.LINEAR, self._numbers()
+    def packed(self) -> tuple[int, int, FloatArray]:
+        return layout.LINEAR, 2, self._numbers()
+
+
+@dataclass(frozen=True, eq=False)
+class TabulatedEnvelopes:
+    """Any strictly increasing pair as piecewise-linear functions, going on with their end slopes outside.
+
+    Parameters
+    ----------
+    inputs : (K,) knots, strictly increasing, K >= 2
+    rising_values, falling_values : (K,) values at the knots, strictly increasing; or (N, K), one row per play
+
+    Raises
+    ------
+    ValueError : fewer than two knots, shapes that do not fit, or values that do not strictly increase.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> envelopes = TabulatedEnvelopes.from_functions(np.arctan, lambda v: np.arctan(v + 1), -5, 5, knots=201)
+    >>> bool(abs(envelopes.rising(0.33) - np.arctan(0.33)) < 3e-4)
+    True
+    """
+
+    inputs: layout.Numbers
+    rising_values: layout.Numbers
+    falling_values: layout.Numbers
+
+    def __post_init__(self) -> None:
+        inputs = increasing(finite_array(self.inputs, "inputs"), "inputs")
+        if inputs.size < 2:
+            raise ValueError(f"inputs: found {inputs.size} knot(s), need at least 2")
+        shape = np.shape(self.rising_values)
+        object.__setattr__(self, "inputs", inputs)
+        for name in ("rising_values", "falling_values"):
+            values = finite_array(getattr(self, name), name, ndim=(1, 2))
+            if values.shape != shape or values.shape[-1] != inputs.size or values.size == 0:
+                raise ValueError(
+                    f"{name}: found shape {values.shape}, need ({inputs.size},) or (N, {inputs.size}), "
+                    "the same for rising and falling"
+                )
+            for row in np.atleast_2d(values):
+                increasing(row, name)
+            object.__setattr__(self, name, values)
+
+    @classmethod
+    def from_functions(
+        cls,
+        rising: Callable[[FloatArray], ArrayLike],
+        falling: Callable[[FloatArray], ArrayLike],
+        low: float,
+        high: float,
+        *,
+        knots: int = 257,
+    ) -> TabulatedEnvelopes:
+        """Tabulate two strictly increasing functions of an array on [low, high]."""
+        inputs = np.linspace(low, high, knots)
+        return cls(inputs, rising(inputs), falling(inputs))
+
+    @property
+    def plays(self) -> int | None:
+        shape = np.shape(self.rising_values)
+        return shape[0] if len(shape) == 2 else None
+
+    @property
+    def limits(self) -> tuple[FloatArray, FloatArray]:
+        shape = np.shape(self.rising_values)[:-1]
+        return np.full(shape, -np.inf), np.full(shape, np.inf)
+
+    def _interpolate(self, v: ArrayLike, table: FloatArray) -> FloatArray:
+        x, points = np.asarray(self.inputs), np.asarray(v, dtype=np.float64)
+        k = np.clip(np.searchsorted(x, points) - 1, 0, x.size - 2)
+        rows = table.T
+        fraction = (points - x[k]) / (x[k + 1] - x[k])
+        if self.plays is not None:
+            fraction = fraction[..., None]
+        return np.asarray(rows[k] + fraction * (rows[k + 1] - rows[k]))
+
+    def rising(self, v: ArrayLike) -> FloatArray:
+        return self._interpolate(v, np.asarray(self.rising_values))
+
+    def falling(self, v: ArrayLike) -> FloatArray:
+        return self._interpolate(v, np.asarray(self.falling_values))
+
+    def packed(self) -> tuple[int, int, FloatArray]:
+        inputs = np.asarray(self.inputs)
+        numbers = []
+        for values in (self.rising_values, self.falling_values):
+            for row in np.atleast_2d(np.asarray(values)):
+                numbers += [inputs, row]
+        return layout.TABLE, 2 * inputs.size, np.concatenate(numbers)

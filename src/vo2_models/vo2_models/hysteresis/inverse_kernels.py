@@ -28,7 +28,7 @@ from vo2_models.hysteresis.kernels import (
     tanh,
     terms_of,
 )
-from vo2_models.hysteresis.layout import HEADER, POLYNOMIAL, SINE, TANH
+from vo2_models.hysteresis.layout import HEADER, POLYNOMIAL, SINE, TABLE, TANH
 
 SETTINGS = 4
 NEAREST = 100.0
@@ -91,24 +91,27 @@ def memoryless_curvature(terms, count, reach):
 def _evaluate(v, packed, block, members, constant, weight, active, order):
     """Value and slope of f with the plays order[:active] active; `weight` is their total."""
     kind = int(packed[1])
-    count = int(packed[4])
+    stride = int(packed[3])
+    count = int(packed[5])
     value = constant
     slope = 0.0
     if packed[2] == 1.0:
-        g = envelope_value(kind, block, 1, 0, v)
-        dg = block[0] * (1.0 - g) * (1.0 + g) if kind == TANH else envelope_slope(kind, block, 1, 0, v)
+        g = envelope_value(kind, block, 1, stride, 0, v)
+        dg = (
+            block[0] * (1.0 - g) * (1.0 + g) if kind == TANH else envelope_slope(kind, block, 1, stride, 0, v)
+        )
         value += weight * g
         slope += weight * dg
     else:
         for k in range(active):
             j = order[k]
             p = packed[HEADER + j]
-            g = envelope_value(kind, block, members, j, v)
+            g = envelope_value(kind, block, members, stride, j, v)
             value += p * g
             if kind == TANH:
                 slope += p * block[j] * (1.0 - g) * (1.0 + g)
             else:
-                slope += p * envelope_slope(kind, block, members, j, v)
+                slope += p * envelope_slope(kind, block, members, stride, j, v)
     if count > 0:
         d, dd = memoryless_pair(terms_of(packed), count, v)
         value += d
@@ -144,6 +147,17 @@ def _root(a, fa, b, fb, u, tolerance, packed, block, members, constant, weight, 
 
 
 @exact
+def _next_knot(v, end, direction, packed, block):
+    """The knot of a table met first on the way from v to end; `end` if there is none."""
+    knots = block[: int(packed[3]) // 2]
+    if direction > 0:
+        k = np.searchsorted(knots, v, side="right")
+        return min(end, knots[k]) if k < knots.size else end
+    k = np.searchsorted(knots, v) - 1
+    return max(end, knots[k]) if k >= 0 else end
+
+
+@exact
 def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, packed, state):
     """Look for f(v) = u from `start` to `limit` (direction 1 up, -1 down).
 
@@ -154,12 +168,13 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
     n = int(packed[0])
     kind = int(packed[1])
     shared = packed[2] == 1.0
+    stride = int(packed[3])
     members = 1 if shared else n
-    first = HEADER + 2 * n + (0 if direction > 0 else 2 * members)
-    block = packed[first : first + 2 * members]
+    first = HEADER + 2 * n + (0 if direction > 0 else members * stride)
+    block = packed[first : first + members * stride]
     keys = np.empty(n)
     order = np.empty(n, dtype=np.int64)
-    constant = packed[3]
+    constant = packed[4]
     plays = 0
     for j in range(n):
         p = packed[HEADER + j]
@@ -167,7 +182,7 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
             continue
         constant += p * state[1 + j]
         level = state[1 + j] + direction * packed[HEADER + n + j]
-        key = direction * (level if shared else envelope_inverse(kind, block, members, j, level))
+        key = direction * (level if shared else envelope_inverse(kind, block, members, stride, j, level))
         k = plays
         while k > 0 and keys[k - 1] > key:
             keys[k] = keys[k - 1]
@@ -178,7 +193,7 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
         plays += 1
 
     terms = terms_of(packed)
-    count = int(packed[4])
+    count = int(packed[5])
     curvature_d = memoryless_curvature(terms, count, max(abs(start), abs(limit))) if count > 0 else 0.0
     # halving adds one entry a level and ends where the Taylor bound meets the tolerance: far fewer levels than 256
     stack = np.empty((256, 2))
@@ -198,7 +213,7 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
         while active < plays:
             at = direction * keys[active]
             if shared:
-                at = envelope_inverse(kind, block, 1, 0, at)
+                at = envelope_inverse(kind, block, 1, stride, 0, at)
             if direction * (at - a) > 0.0:
                 if direction * (limit - at) > 0.0:
                     b = at
@@ -211,6 +226,8 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
                 slope = block[0] if shared else block[j]
                 curvature_g += abs(p) * slope * slope * TANH_CURVATURE
             active += 1
+        if kind == TABLE:
+            b = _next_knot(a, b, direction, packed, block)
         if first_piece:
             fa, slope_a = _evaluate(a, packed, block, members, constant, weight, active, order)
             known_at = a
@@ -231,7 +248,7 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
             if (fa - u) * (fb - u) <= 0.0:
                 if shared and count == 0 and weight > 0.0:
                     # f is linear in the envelope: (B.13) in closed form, kept in its piece against rounding
-                    v = envelope_inverse(kind, block, 1, 0, (u - constant) / weight)
+                    v = envelope_inverse(kind, block, 1, stride, 0, (u - constant) / weight)
                     return True, min(max(v, min(a, b)), max(a, b)), 0.0
                 v = _root(a, fa, b, fb, u, tolerance, packed, block, members, constant, weight, active, order)
                 return True, v, 0.0

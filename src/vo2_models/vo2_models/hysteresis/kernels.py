@@ -3,13 +3,15 @@
 A model is one float64 vector `packed`, its memory one float64 vector `state`:
 
     state  = [v_prev, w_1 ... w_N]                      present input, then the play outputs
-    packed = [N, kind, shared, bias, terms,             header
+    packed = [N, kind, shared, stride, bias, terms,     header
               weights (N), radii (N),
-              rising envelopes (2 M), falling envelopes (2 M),   M = 1 if shared else N
+              rising envelopes (M * stride), falling envelopes (M * stride),   M = 1 if shared else N
               memoryless terms: kind, count, parameters (count), ...]
 
-Envelope kinds: LINEAR a v + b and TANH tanh(a v + b) store M slopes and then M offsets. Memoryless kinds: POLYNOMIAL
-[c0, c1, ...], SINE [amplitude, frequency, phase], SATURATION amplitude * tanh(slope * v + offset) [amplitude, slope, offset].
+Envelope kinds: LINEAR a v + b and TANH tanh(a v + b) store M slopes and then M offsets (stride 2); TABLE stores
+for each of the M tables its knots' inputs and then their outputs (stride = twice the number of knots), and goes on
+with the end slopes outside. Memoryless kinds: POLYNOMIAL [c0, c1, ...], SINE [amplitude, frequency, phase],
+SATURATION amplitude * tanh(slope * v + offset) [amplitude, slope, offset].
 
 The play is the rising/falling form of (B.5)-(B.6) with the envelope letters as the order condition needs
 them: rising w = max(gamma_R(v) - r, w), falling w = min(gamma_L(v) + r, w). Only one envelope is evaluated
@@ -44,32 +46,56 @@ def tanh(x):
     return 1.0 - 2.0 / (math.exp(2.0 * x) + 1.0)
 
 
+@exact
+def table_value(inputs, outputs, v):
+    """Piecewise-linear function through strictly increasing knots, with its end slopes outside."""
+    k = np.searchsorted(inputs, v) - 1
+    k = min(max(k, 0), inputs.size - 2)
+    slope = (outputs[k + 1] - outputs[k]) / (inputs[k + 1] - inputs[k])
+    return outputs[k] + slope * (v - inputs[k])
+
+
 @exact_inline
-def envelope_value(kind, block, members, j, v):
+def envelope_value(kind, block, members, stride, j, v):
     """Envelope j of a block of `members` envelopes at the input v."""
-    argument = block[j] * v + block[members + j]
-    return tanh(argument) if kind == TANH else argument
+    if kind == LINEAR:
+        return block[j] * v + block[members + j]
+    if kind == TANH:
+        return tanh(block[j] * v + block[members + j])
+    knots = stride // 2
+    table = block[j * stride : (j + 1) * stride]
+    return table_value(table[:knots], table[knots:], v)
 
 
 @exact
-def envelope_slope(kind, block, members, j, v):
-    """Derivative of envelope j at the input v."""
+def envelope_slope(kind, block, members, stride, j, v):
+    """Derivative of envelope j at the input v (of the segment to the right at a knot)."""
     if kind == LINEAR:
         return block[j]
-    g = tanh(block[j] * v + block[members + j])
-    return block[j] * (1.0 - g) * (1.0 + g)
+    if kind == TANH:
+        g = tanh(block[j] * v + block[members + j])
+        return block[j] * (1.0 - g) * (1.0 + g)
+    knots = stride // 2
+    inputs = block[j * stride : j * stride + knots]
+    outputs = block[j * stride + knots : (j + 1) * stride]
+    k = min(max(np.searchsorted(inputs, v, side="right") - 1, 0), knots - 2)
+    return (outputs[k + 1] - outputs[k]) / (inputs[k + 1] - inputs[k])
 
 
 @exact
-def envelope_inverse(kind, block, members, j, g):
+def envelope_inverse(kind, block, members, stride, j, g):
     """Input at which envelope j takes the value g; -inf or inf where it never does."""
     if kind == LINEAR:
         return (g - block[members + j]) / block[j]
-    if g >= 1.0:
-        return math.inf
-    if g <= -1.0:
-        return -math.inf
-    return (0.5 * math.log((1.0 + g) / (1.0 - g)) - block[members + j]) / block[j]
+    if kind == TANH:
+        if g >= 1.0:
+            return math.inf
+        if g <= -1.0:
+            return -math.inf
+        return (0.5 * math.log((1.0 + g) / (1.0 - g)) - block[members + j]) / block[j]
+    knots = stride // 2
+    table = block[j * stride : (j + 1) * stride]
+    return table_value(table[knots:], table[:knots], g)
 
 
 @exact
@@ -111,13 +137,13 @@ def _follow(direction, level, radii, weights, memory):
 
 
 @summing_inline
-def _follow_own(direction, moves, v, kind, block, radii, weights, memory):
+def _follow_own(direction, moves, v, kind, stride, block, radii, weights, memory):
     """Like `_follow` with one envelope per play."""
     total = 0.0
     for j in range(memory.size):
         held = memory[j]
         if moves:
-            reached = direction * envelope_value(kind, block, memory.size, j, v) - radii[j]
+            reached = direction * envelope_value(kind, block, memory.size, stride, j, v) - radii[j]
             held *= direction
             held = direction * (reached if reached > held else held)
             memory[j] = held
@@ -130,32 +156,32 @@ def terms_of(packed):
     """The packed memoryless terms (a view)."""
     n = int(packed[0])
     members = 1 if packed[2] == 1.0 else n
-    return packed[HEADER + 2 * n + 4 * members :]
+    return packed[HEADER + 2 * n + 2 * members * int(packed[3]) :]
 
 
 @summing
 def egpi_output(packed, state):
     """Output of the model in the given state, which stays as it is."""
     n = int(packed[0])
-    total = packed[3]
+    total = packed[4]
     for j in range(n):
         total += packed[HEADER + j] * state[1 + j]
-    if packed[4] > 0.0:
-        total += memoryless_value(terms_of(packed), int(packed[4]), state[0])
+    if packed[5] > 0.0:
+        total += memoryless_value(terms_of(packed), int(packed[5]), state[0])
     return total
 
 
 @exact
-def _levels(kind, rising, falling, v, previous, directions, levels):
+def _levels(kind, rising, falling, stride, v, previous, directions, levels):
     """Direction and directed envelope value, as `_follow` takes them, of every input v (n,); returns the last v."""
     for k in range(v.size):
         now = v[k]
         if now > previous:
             directions[k] = 1.0
-            levels[k] = envelope_value(kind, rising, 1, 0, now)
+            levels[k] = envelope_value(kind, rising, 1, stride, 0, now)
         elif now < previous:
             directions[k] = -1.0
-            levels[k] = -envelope_value(kind, falling, 1, 0, now)
+            levels[k] = -envelope_value(kind, falling, 1, stride, 0, now)
         else:
             directions[k] = -1.0
             levels[k] = -math.inf
@@ -175,8 +201,9 @@ def sweep_egpi(v, packed, state, out):
     """Run one device: v (n,) -> out (n,); the state (1+N,) is updated in place."""
     n = int(packed[0])
     kind = int(packed[1])
-    bias = packed[3]
-    count = int(packed[4])
+    stride = int(packed[3])
+    bias = packed[4]
+    count = int(packed[5])
     terms = terms_of(packed)
     # copies, because the compiler then knows that writing the memory changes no radius and no weight
     weights = packed[HEADER : HEADER + n].copy()
@@ -185,8 +212,8 @@ def sweep_egpi(v, packed, state, out):
     shared = packed[2] == 1.0
     members = 1 if shared else n
     start = HEADER + 2 * n
-    rising = packed[start : start + 2 * members]
-    falling = packed[start + 2 * members : start + 4 * members]
+    rising = packed[start : start + members * stride]
+    falling = packed[start + members * stride : start + 2 * members * stride]
     previous = state[0]
     if shared:
         directions = np.empty(CHUNK)
@@ -194,7 +221,7 @@ def sweep_egpi(v, packed, state, out):
         for first in range(0, v.size, CHUNK):
             last = min(first + CHUNK, v.size)
             size = last - first
-            previous = _levels(kind, rising, falling, v[first:last], previous, directions, levels)
+            previous = _levels(kind, rising, falling, stride, v[first:last], previous, directions, levels)
             _follow_levels(directions[:size], levels[:size], radii, weights, memory, out[first:last])
     else:
         for k in range(v.size):
@@ -205,6 +232,7 @@ def sweep_egpi(v, packed, state, out):
                 now != previous,
                 now,
                 kind,
+                stride,
                 rising if up else falling,
                 radii,
                 weights,
@@ -229,6 +257,7 @@ def egpi_step(v, packed, state):
     if state.size != n + 1 or v != v:
         return math.nan
     kind = int(packed[1])
+    stride = int(packed[3])
     weights = packed[HEADER : HEADER + n]
     radii = packed[HEADER + n : HEADER + 2 * n]
     memory = state[1:]
@@ -237,16 +266,17 @@ def egpi_step(v, packed, state):
     direction = 1.0 if up else -1.0
     start = HEADER + 2 * n
     if packed[2] == 1.0:
-        block = packed[start : start + 2] if up else packed[start + 2 : start + 4]
-        level = direction * envelope_value(kind, block, 1, 0, v) if moves else -math.inf
+        block = packed[start : start + stride] if up else packed[start + stride : start + 2 * stride]
+        level = direction * envelope_value(kind, block, 1, stride, 0, v) if moves else -math.inf
         total = _follow(direction, level, radii, weights, memory)
     else:
-        block = packed[start : start + 2 * n] if up else packed[start + 2 * n : start + 4 * n]
-        total = _follow_own(direction, moves, v, kind, block, radii, weights, memory)
+        size = n * stride
+        block = packed[start : start + size] if up else packed[start + size : start + 2 * size]
+        total = _follow_own(direction, moves, v, kind, stride, block, radii, weights, memory)
     state[0] = v
-    if packed[4] > 0.0:
-        total += memoryless_value(terms_of(packed), int(packed[4]), v)
-    return total + packed[3]
+    if packed[5] > 0.0:
+        total += memoryless_value(terms_of(packed), int(packed[5]), v)
+    return total + packed[4]
 
 
 @summing
@@ -271,10 +301,11 @@ def order_excess(packed, low, high, points):
     n = int(packed[0])
     kind = int(packed[1])
     shared = packed[2] == 1.0
+    stride = int(packed[3])
     members = 1 if shared else n
     start = HEADER + 2 * n
-    rising = packed[start : start + 2 * members]
-    falling = packed[start + 2 * members : start + 4 * members]
+    rising = packed[start : start + members * stride]
+    falling = packed[start + members * stride : start + 2 * members * stride]
     worst = -math.inf
     place = low
     # radii are sorted: with a shared pair the first play that counts is the critical one
@@ -290,8 +321,8 @@ def order_excess(packed, low, high, points):
             if packed[HEADER + j] == 0.0:
                 continue
             pair = 0 if shared else j
-            gap = envelope_value(kind, rising, members, pair, v)
-            gap -= envelope_value(kind, falling, members, pair, v)
+            gap = envelope_value(kind, rising, members, stride, pair, v)
+            gap -= envelope_value(kind, falling, members, stride, pair, v)
             excess = gap - 2.0 * packed[HEADER + n + j]
             if excess > worst:
                 worst = excess

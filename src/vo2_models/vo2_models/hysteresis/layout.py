@@ -5,9 +5,9 @@ from typing import Any
 Numbers = Any
 """A field of a frozen model that takes any array_like and, once checked, is a float64 array."""
 
-HEADER = 5
+HEADER = 6
 
-LINEAR, TANH = 0, 1
+LINEAR, TANH, TABLE = 0, 1, 2
 """Envelope kinds."""
 
 POLYNOMIAL, SINE, SATURATION = 0, 1, 2

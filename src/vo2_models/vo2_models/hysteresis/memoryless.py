@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from vo2_models.hysteresis import layout
 from vo2_models.validation import finite_array
 
-__all__ = ["Cosine", "Linear", "Memoryless", "Polynomial", "Sine", "Tanh", "Zero"]
+__all__ = ["Cosine", "Linear", "Memoryless", "MemorylessSum", "Polynomial", "Sine", "Tanh", "Zero"]
 
 FloatArray = NDArray[np.float64]
 
@@ -157,3 +157,30 @@ class Polynomial:
 
     def terms(self) -> list[list[float]]:
         return _term(layout.POLYNOMIAL, *np.asarray(self.coefficients).tolist())
+
+
+@dataclass(frozen=True)
+class MemorylessSum:
+    """Sum of memoryless parts.
+
+    >>> drift = MemorylessSum((Linear(0.5), Tanh(1.0, 2.0)))
+    >>> float(drift(0.0)), float(drift.slope(0.0))
+    (0.0, 2.5)
+    """
+
+    parts: tuple[Memoryless, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parts", tuple(self.parts))
+        for k, part in enumerate(self.parts):
+            if not isinstance(part, Memoryless):
+                raise ValueError(f"parts: found {type(part).__name__} at index {k}, need memoryless parts")
+
+    def __call__(self, v: ArrayLike) -> FloatArray:
+        return np.asarray(sum((part(v) for part in self.parts), np.zeros(np.shape(v))))
+
+    def slope(self, v: ArrayLike) -> FloatArray:
+        return np.asarray(sum((part.slope(v) for part in self.parts), np.zeros(np.shape(v))))
+
+    def terms(self) -> list[list[float]]:
+        return [term for part in self.parts for term in part.terms()]

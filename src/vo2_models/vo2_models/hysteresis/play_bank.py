@@ -182,7 +182,7 @@ class PlayBank(Law):
     def packed(self) -> Floats:
         """The plays as `hysteresis.kernels` packs them, without bias and polynomial."""
         count = np.size(self.weights)
-        header = np.array([count, TANH, 0.0, 0.0, 0.0])
+        header = np.array([count, TANH, 0.0, 2.0, 0.0, 0.0])
         parts = [getattr(self, part.name) for part in fields(self)[:-1]]
         return np.concatenate([header, *parts])
 

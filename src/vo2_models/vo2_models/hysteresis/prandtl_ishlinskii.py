@@ -75,8 +75,8 @@ class PlayModel(Law):
             raise ValueError(f"on_disorder: found {self.on_disorder!r}, need 'refuse', 'warn' or 'accept'")
         bias = float(finite_array(self.bias, "bias", ndim=0))
         terms = self.memoryless.terms()
-        kind, numbers = self.envelopes.packed()
-        header = [radii.size, kind, self.envelopes.plays is None, bias, len(terms)]
+        kind, stride, numbers = self.envelopes.packed()
+        header = [radii.size, kind, self.envelopes.plays is None, stride, bias, len(terms)]
         packed = np.concatenate([np.array(header, dtype=np.float64), weights, radii, numbers, *terms])
         for array in (radii, weights, packed):
             array.setflags(write=False)
@@ -130,13 +130,13 @@ class PlayModel(Law):
         ValueError : envelopes other than tanh, or a memoryless part other than a polynomial.
         """
         terms = self.memoryless.terms()
-        kind, numbers = self.envelopes.packed()
+        kind, stride, numbers = self.envelopes.packed()
         if kind != TANH or any(int(term[0]) != POLYNOMIAL for term in terms):
             raise ValueError(
                 f"model: found {type(self.envelopes).__name__} and {type(self.memoryless).__name__}, need tanh "
                 "envelopes and a polynomial for a bank of plays"
             )
-        pairs = np.broadcast_to(numbers.reshape(4, -1), (4, self.plays))
+        pairs = np.broadcast_to(numbers.reshape(2 * stride, -1), (2 * stride, self.plays))
         polynomial = np.polynomial.Polynomial([self.bias])
         for term in terms:
             polynomial += np.polynomial.Polynomial(term[2:])
