@@ -242,6 +242,13 @@ def test_simulate_leaves_the_memory_it_was_given():
     np.testing.assert_array_equal(state, [0.0, 0.0])
 
 
+def test_play_outputs_are_the_regressors_of_the_model():
+    model = GPI([0.0, 0.3, 0.6], [1.0, 0.5, 2.0], TanhEnvelopes(1.0, -0.5, 1.0, 0.5), bias=3.0)
+    v = np.sin(np.linspace(0, 20, 200)) * np.linspace(3, 0.1, 200)
+    output, _ = model.simulate(v)
+    np.testing.assert_allclose(model.play_outputs(v) @ model.weights + 3.0, output, atol=1e-12)
+
+
 def test_per_play_envelopes_of_one_pair_are_the_shared_pair():
     shared = GPI([0.1, 0.5], [1.0, 2.0], TanhEnvelopes(1.0, -0.5, 1.0, 0.5))
     own = GPI([0.1, 0.5], [1.0, 2.0], TanhEnvelopes([1.0] * 2, [-0.5] * 2, [1.0] * 2, [0.5] * 2))

@@ -6,7 +6,8 @@ Plays         envelopes `TanhEnvelopes`, `LinearEnvelopes`, `TabulatedEnvelopes`
               `Polynomial`, `Sine`, `Cosine`, `Tanh`, `MemorylessSum`
 Inverses      `law.inverse(input_range)`; `RobustInverse` (any play model, every reachable output), `FixedPointInverse` with
               `convergence_condition`, `LawInverse` (any law, by bisection)
-From data     `fit_law`, `rank_laws` (any law, judged on held-out excursions); `fit_play_model`; `preisach`
+From data     `fit_law`, `rank_laws` (any law, judged on held-out excursions); `fit_play_model`; `preisach`;
+              `identify_play_weights` (compressive sensing)
 Smaller       `compress`, `partition` (entropy-optimal)
 Compiled use  `type(law).move(u, law.packed, memory, make)`, one signature for every law
 
@@ -55,6 +56,7 @@ _HOME = {
     "compress": "compression_gpi",
     "merge": "compression_gpi",
     "partition": "compression_gpi",
+    "identify_play_weights": "compressive_sensing_gpi",
     "LawFit": "law_fit",
     "fit_law": "law_fit",
     "rank_laws": "law_fit",

@@ -292,6 +292,14 @@ def simulate_many(packed, v, state, out):
         sweep_egpi(v[i], packed, state[i], out[i])
 
 
+@summing
+def play_outputs(packed, v, state, out):
+    """Outputs of every play: v (n,) -> out (n, N); the state (1+N,) is updated in place."""
+    for k in range(v.size):
+        egpi_step(v[k], packed, state)
+        out[k, :] = state[1:]
+
+
 @exact
 def order_excess(packed, low, high, points):
     """Largest gamma_R(v) - gamma_L(v) - 2 r over the plays and a grid of inputs, with its input and play.

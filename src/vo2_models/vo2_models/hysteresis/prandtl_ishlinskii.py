@@ -280,6 +280,14 @@ class PlayModel(Law):
         outputs = rows[:, 1:] @ self.weights + self.bias + self.memoryless(rows[:, 0])
         return outputs if state.ndim == 2 else float(outputs[0])
 
+    def play_outputs(self, v: ArrayLike, state: FloatArray | None = None) -> FloatArray:
+        """Outputs of the plays (n, N) along the inputs v (n,), from `state` or lower saturation."""
+        inputs = finite_array(v, "v")
+        memory = self.initial_state() if state is None else self._checked_state(state, None)[0]
+        outputs = np.empty((inputs.size, self.plays))
+        kernels.play_outputs(self._packed, inputs, memory, outputs)
+        return outputs
+
     def _checked_state(self, state: FloatArray, devices: int | None) -> FloatArray:
         """A writable copy as rows (m, 1 + N)."""
         shape = (1 + self.plays,) if devices is None else (devices, 1 + self.plays)
