@@ -8,6 +8,7 @@ from vo2_models.hysteresis import (
     CPI,
     EGPI,
     GPI,
+    AnalyticInverse,
     Cosine,
     FixedPointInverse,
     Linear,
@@ -20,6 +21,8 @@ from vo2_models.hysteresis import (
     TanhEnvelopes,
     Zero,
     convergence_condition,
+    inverse_cpi,
+    inverse_cpi_state,
 )
 from vo2_models.hysteresis.inverse_robust import output_range
 
@@ -148,6 +151,37 @@ def test_inverse_batch_streaming_and_devices_agree(seed, values):
     np.testing.assert_array_equal(many.input[1], inverse.simulate(wishes[::-1], start).input)
 
 
+@given(seeds, sequences)
+@settings(max_examples=40, deadline=None)
+def test_analytic_inverse_is_the_robust_one(seed, values):
+    rng = np.random.default_rng(seed)
+    radii = np.cumsum(rng.uniform(0.02, 0.2, 5))
+    radii -= radii[0] * rng.integers(0, 2)
+    envelopes = TanhEnvelopes(rng.uniform(0.4, 1.5), -0.4, rng.uniform(0.4, 1.5), 0.4)
+    model = GPI(radii, rng.uniform(0.1, 2, 5), envelopes, bias=0.3, on_disorder="accept")
+    assume(model.order_excess(*RANGE)[0] <= 0)
+    start = model.initial_state("upper", v=RANGE[0])
+    wishes, _ = model.simulate(values, start)
+    analytic = AnalyticInverse(model, RANGE).simulate(wishes, start)
+    robust = RobustInverse(model, RANGE).simulate(wishes, start)
+    given_back, _ = model.simulate(analytic, start)
+    np.testing.assert_allclose(given_back, wishes, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(analytic, robust.input, rtol=0, atol=1e-6)
+
+
+@given(seeds, sequences)
+@settings(max_examples=40, deadline=None)
+def test_inverse_of_the_classical_model_is_a_classical_model(seed, values):
+    rng = np.random.default_rng(seed)
+    radii = np.concatenate([[0.0], np.cumsum(rng.uniform(0.05, 1, 4))])
+    model = CPI(radii, rng.uniform(0.1, 2, 5), bias=-0.7)
+    _, start = model.simulate(rng.uniform(*RANGE, 6))
+    outputs, end = model.simulate(values, start)
+    back, final = inverse_cpi(model).simulate(outputs, inverse_cpi_state(model, start))
+    np.testing.assert_allclose(back, values, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(final[1:], inverse_cpi_state(model, end)[1:], rtol=0, atol=1e-10)
+
+
 def table_6_3():
     return EGPI([0, 0.2, 0.4, 0.6, 0.8, 2], [6, 2, 1, 2, 4, 4], memoryless=Cosine(5.0))
 
@@ -223,6 +257,12 @@ def test_a_present_input_outside_the_range_enters_it():
         (lambda: RobustInverse(table_6_3()), r"input_range: found none, need \(low, high\)"),
         (lambda: RobustInverse(table_6_3(), (1.0, 1.0)), r"input_range: found \(1, 1\), need lower < upper"),
         (lambda: RobustInverse(CPI([0.0], [0.0]), RANGE), r"model: found an output that does not change"),
+        (lambda: inverse_cpi(CPI([0.1], [1.0])), r"radii: found smallest radius 0.1, need 0"),
+        (
+            lambda: inverse_cpi(CPI([0.0, 1.0], [1.0, -2.0])),
+            r"weights: found the sum of the first 2 to be -1",
+        ),
+        (lambda: inverse_cpi(CPI([0.0, 1.0], [0.0, 2.0])), r"weights: found 0 for the smallest radius"),
         (lambda: FixedPointInverse(table_6_3(), RANGE, tolerance=0.0), r"tolerance: found 0.0, need"),
         (
             lambda: RobustInverse(table_6_3(), RANGE).simulate([np.nan], np.zeros(7)),
@@ -230,6 +270,11 @@ def test_a_present_input_outside_the_range_enters_it():
         ),
         (lambda: RobustInverse(table_6_3(), RANGE).update(1.0, np.zeros(3)), r"state: found shape \(3,\)"),
         (lambda: RobustInverse(table_6_3(), RANGE).invert(np.nan, np.zeros(7)), r"output: found nan"),
+        (
+            lambda: AnalyticInverse(CPI([0.0], [1.0]), RANGE).simulate([4.0], np.zeros(2)),
+            r"output: found 4 at index 0, which needs an input of 4",
+        ),
+        (lambda: AnalyticInverse(table_6_3(), RANGE), r"model: found a memoryless part"),
     ],
 )
 def test_bad_input_is_named(build, message):

@@ -4,8 +4,8 @@ Laws          by name in `LAWS`: `PlayBank`, `CPI`, `GPI`, `EGPI`, `PreisachOper
               `BoucWen`, `LimitingLoop`, `DomainEnsemble`; of a model file by `law_from_parameters`
 Plays         envelopes `TanhEnvelopes`, `LinearEnvelopes`, `TabulatedEnvelopes`; memoryless parts `Zero`, `Linear`,
               `Polynomial`, `Sine`, `Cosine`, `Tanh`, `MemorylessSum`
-Inverses      `law.inverse(input_range)`; `RobustInverse` (any play model, every reachable output), `FixedPointInverse` with
-              `convergence_condition`, `LawInverse` (any law, by bisection)
+Inverses      `law.inverse(input_range)`; `RobustInverse` (any play model, every reachable output), `AnalyticInverse`,
+              `inverse_cpi`, `FixedPointInverse` with `convergence_condition`, `LawInverse` (any law, by bisection)
 From data     `fit_law`, `rank_laws` (any law, judged on held-out excursions); `fit_play_model`; `preisach`;
               `identify_play_weights` (compressive sensing)
 Smaller       `compress`, `partition` (entropy-optimal)
@@ -50,6 +50,9 @@ _HOME = {
     "EGPI": "prandtl_ishlinskii",
     "GPI": "prandtl_ishlinskii",
     "OrderWarning": "prandtl_ishlinskii",
+    "AnalyticInverse": "inverse_analytic",
+    "inverse_cpi": "inverse_analytic",
+    "inverse_cpi_state": "inverse_analytic",
     "FixedPointInverse": "inverse_fixed_point",
     "convergence_condition": "inverse_fixed_point",
     "RobustInverse": "inverse_robust",
