@@ -1,6 +1,7 @@
 """The inverse compensation as a node: the library's currents, a real plant, and what it does without usable input."""
 
 import math
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from vo2_control.reference_node import ReferenceNode
 from vo2_interface.model import operating_point
 from vo2_interface.parameters import ros_parameters
 from vo2_interface.testing import bench
+from vo2_models.device import preset
 from vo2_plant_sim.plant_node import PlantNode
 
 MS = 1_000_000
@@ -87,6 +89,19 @@ def test_a_model_of_another_preset_is_refused_and_the_former_stays(fitted_model)
         node._table.set({"model.device": "peltier"})
         assert command_of(rig, 2) != 0.0 and first != 0.0
         rig.until(lambda: "found peltier, need the preset integrated" in rig.status("feedforward: model")[0])
+
+
+def test_a_model_of_the_device_in_a_file_is_taken_whatever_a_fit_has_completed(fitted_model, tmp_path):
+    device = tmp_path / "warm.yaml"
+    shipped = (files("vo2_models.device") / "files" / "integrated.yaml").read_text()
+    device.write_text(shipped.replace("id: integrated", "id: warm"))
+    completed = preset(device).completed({"temperature": {"channel": "stage_temperature"}})
+    given = {**fitted_model, "model.device": completed.key}
+    found = design_feedforward(preset=str(device), sample_period_s=1e-3, values=given)
+    wanted = design_feedforward(preset="integrated", sample_period_s=1e-3, values=fitted_model)
+    assert found.run([30e-6] * 5)[0] == pytest.approx(wanted.run([30e-6] * 5)[0])
+    with pytest.raises(ValueError, match=r"model\.device: found warm, need the preset peltier"):
+        design_feedforward(preset="peltier", sample_period_s=1e-3, values=given)
 
 
 @pytest.mark.parametrize(("asked", "end"), [(200 * UM, 1), (-50 * UM, 0)])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from vo2_interface.model import operating_point
+from vo2_models.device.description import check_model_of
 from vo2_models.parameters import Parameter, Value
 
 from vo2_control.controller import Controller, CurrentLimits, LinearController, LinearLaw
@@ -182,8 +183,7 @@ def design_feedforward(
             "model.device: found none, need a model to invert; run the identifier (~/start), or load a file that "
             "it or fit wrote (ros2 param load, --params-file)"
         )
-    if device != preset:
-        raise ValueError(f"model.device: found {device}, need the preset {preset}; load its model")
+    check_model_of(str(device), preset)
     check_device_limits(preset, sample_period_s, values)
     return feedforward_from_model(values, sample_period_s, limits=current_limits(preset, values))
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from vo2_interface.parameters import ParameterTable
 from vo2_models.device import truth
+from vo2_models.device.description import check_model_of
 from vo2_models.device.stepper import Stepper
 from vo2_models.io import load_yaml
 from vo2_models.parameters import Parameter
@@ -88,10 +89,7 @@ def simulated_device(preset: str, rate_hz: float, parameters: ParameterTable) ->
                 "source: found model, need model.* parameters; load a file that fit wrote (--params-file)"
             )
         model = DeviceModel.from_parameters(given)
-        if model.device != preset:
-            raise ValueError(
-                f"model.device: found {model.device}, need the preset {preset}; set the preset or load its model"
-            )
+        check_model_of(model.device, preset)
         drawn = seed if noise_seed < 0 else noise_seed
         return SimulatedDevice(
             Stepper(model.simulation.with_effects(effects), dt=period, seed=drawn, noise=noise)

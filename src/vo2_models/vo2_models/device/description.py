@@ -31,7 +31,16 @@ from vo2_models.recording import (
     Recording,
 )
 
-__all__ = ["PRESETS", "DeviceDescription", "DeviceParameter", "Response", "Sites", "described", "preset"]
+__all__ = [
+    "PRESETS",
+    "DeviceDescription",
+    "DeviceParameter",
+    "Response",
+    "Sites",
+    "check_model_of",
+    "described",
+    "preset",
+]
 
 _FILES = Path(__file__).resolve().parent / "files"
 PRESETS = tuple(sorted(path.stem for path in _FILES.glob("*.yaml")))
@@ -261,6 +270,23 @@ def preset(name: str | Path) -> DeviceDescription:
         return described(read_device_file(path), str(path))
     except ValueError as error:
         raise InputError(str(error)) from error  # in one line, whatever the file holds
+
+
+def check_model_of(device: str, name: str) -> None:
+    """Raise a `ValueError` where a model is of another device than a node's, in one line.
+
+    Devices are told by their ids: a fit completes the description that its model holds, which is then no more the file's.
+
+    Parameters
+    ----------
+    device : `model.device` of the model
+    name : id of a shipped device or path of a device file, as the node has it
+    """
+    found, wanted = preset(device).id, preset(name).id
+    if found != wanted:
+        raise ValueError(
+            f"model.device: found {found}, need the preset {wanted}; set the preset or load its model"
+        )
 
 
 @lru_cache(maxsize=16)
