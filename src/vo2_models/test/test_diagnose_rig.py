@@ -2,10 +2,11 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from vo2_models.device.description import described
+from vo2_models.device.description import described, preset
 from vo2_models.diagnosis import report
 from vo2_models.diagnosis.pipeline import study
 from vo2_models.diagnosis.report import assemble_diagnosis
@@ -71,6 +72,26 @@ def test_a_large_change_differs(model):
     assert found.decision.verdict == "differs"
     assert "most in stroke" in assemble_diagnosis(found).summary
     assert found.located.own_misfit[TIP_DEFLECTION] > found.limits.own_misfit
+
+
+def test_a_name_must_be_more_likely_than_everything_else_together(model, monkeypatch):
+    """Without body no rival is told beside a name: one that is as likely as another is none."""
+    found = study([recorded(2)], model)
+    named = replace(
+        found, decision=replace(found.decision, chosen=SimpleNamespace(keys=("cantilever_resonance",)))
+    )
+    monkeypatch.setattr(report, "_something_else", lambda study: 0.1)
+
+    def says(likely: float, device=DEVICE) -> bool:
+        monkeypatch.setattr(report, "_candidates", lambda study: ([], {"cantilever_resonance": likely}))
+        nominal = named.located.problem.nominal
+        of = replace(nominal, model=replace(nominal.model, device=device.key))
+        problem = replace(named.located.problem, nominal=of)
+        return report.unlikely(replace(named, located=replace(named.located, problem=problem)))
+
+    assert says(0.45) and says(0.5) and not says(0.51)
+    # a device with a body tells the rivals of a name, and the experiment that separates them
+    assert not says(0.45, preset("integrated")) and says(0.05, preset("integrated"))
 
 
 def test_a_response_that_is_missing_is_named_as_the_device_names_it_and_units_are_its_own(model):
