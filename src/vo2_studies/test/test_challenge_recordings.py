@@ -9,9 +9,10 @@ from vo2_identification.bags import read_recording
 from vo2_models.device.description import described
 from vo2_models.recording import Recording
 from vo2_studies.challenge import command
+from vo2_studies.challenge.judging import judge
 from vo2_studies.challenge.recordings.changes import CHANGES, changed
-from vo2_studies.challenge.recordings.draw import MeasuredSettings
-from vo2_studies.challenge.recordings.sets import MOST, repeat_spread
+from vo2_studies.challenge.recordings.draw import MeasuredSettings, _conceal
+from vo2_studies.challenge.recordings.sets import MOST, MeasuredSet, repeat_spread
 from vo2_studies.challenge.runner import Paths, load_json, write_case
 
 TIME = np.arange(4000) * 0.01
@@ -46,6 +47,30 @@ def test_changes_are_exact():
     assert np.allclose(drifted * (1 + 0.1 * TIME / TIME[-1]), LOOP)
     film = by_id("leakage_resistance").alter(TIME, LOOP, 1e-3)
     assert np.allclose(1 / film, 1 / LOOP + 1e-3)
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=[change.id for change in CHANGES])
+def test_what_was_concealed_can_be_judged(change):
+    """The answer holds all that a diagnosis is compared with: a mode's frequency too, not its share alone."""
+    whole = Recording(TIME, {"drive": LOOP, "out": LOOP}, "rig")
+    rig = MeasuredSet("rig", {}, "drive", "out", "ohm" if "ohm" in change.units else "m", whole, {}, 0.01)
+    _, entry = _conceal(rig, whole, change, 2.0)
+    role = rig.roles["out"]
+    place = {"signal": role, "share": 1.0, "branch": "both", "frequency_hz": [7.8, 8.2]}
+    told = {"id": change.id, "family": entry["families"][0], "probability": 0.9, "signal": entry["signal"]}
+    told["parameters"] = {n: {**p, "std": 0.1 * abs(p["value"])} for n, p in entry["parameters"].items()}
+    diagnosis = {
+        "verdict": "differs", "effects": [told], "candidates": [{"id": change.id, "probability": 0.9}],
+        "location": [place], "indistinguishable": [], "next_experiment": None,
+        "fit": {role: {"nrmse_before": 0.02, "nrmse_after": 0.01, "noise_floor": 0.01}},
+    }  # fmt: skip
+    answer = {
+        "index": 0, "kind": "one", "device": "rig", "family": "measured", "condition": "rerun", "excitation": "own",
+        "moved": [], "effects": [entry], "counted": True,
+    }  # fmt: skip
+    judged = judge(answer, {"failure": "", "diagnosis": diagnosis, "seconds": 1.0, "follow_up": None})
+    assert judged.top1 and judged.parameters is not None
+    assert judged.frequency is (True if change.id == "cantilever_resonance" else None)
 
 
 def test_a_size_out_of_reach_is_the_largest():

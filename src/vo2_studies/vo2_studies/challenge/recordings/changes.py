@@ -6,7 +6,7 @@ strength is set so that the response (or the drive, in shares of its range) move
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,7 @@ class Change:
     parameter, unit : what the strength is; unit "response" for that of the channel
     most : largest strength: shares, shares of the recording's duration for times, of the range for others
     units : responses it applies to, empty for all
+    fixed : sample period [s] -> what else a diagnosis is to find: name -> (value, unit)
     """
 
     id: str
@@ -45,6 +46,7 @@ class Change:
     most: float
     before: bool = False
     units: tuple[str, ...] = ()
+    fixed: Callable[[float], Mapping[str, tuple[float, str]]] = lambda period: {}
 
 
 def _filtered(filter: Callable[[Array, float], Array]) -> Callable[[Array, Array], Array]:
@@ -109,9 +111,14 @@ def _ripple(t: Array, y: Array, strength: float) -> Array:
     return y + strength * np.sin(2 * np.pi * y / (np.ptp(y) / 7.3))
 
 
+def _of_mode(period: float) -> dict[str, tuple[float, str]]:
+    return {"frequency": (0.08 / period, "Hz"), "damping_ratio": (0.02, "1")}
+
+
 def _mode(t: Array, y: Array, strength: float) -> Array:
-    frequency = 0.08 / float(np.median(np.diff(t)))
-    ring = _filtered(lambda v, step: np.asarray(oscillator(v, step, frequency, 0.02)))
+    of = _of_mode(float(np.median(np.diff(t))))
+    frequency, damping = of["frequency"][0], of["damping_ratio"][0]
+    ring = _filtered(lambda v, step: np.asarray(oscillator(v, step, frequency, damping)))
     return y + strength * (ring(t, y) - y)
 
 
@@ -126,7 +133,7 @@ CHANGES = (
     Change("creep", "structure", _creep, "share", "1", 0.5, units=("m",)),
     Change("log_creep", "structure", _log_creep, "share", "1", 0.2, units=("m",)),
     Change("backlash", "structure", _backlash, "half_width", "m", 0.15, units=("m",)),
-    Change("cantilever_resonance", "structure", _mode, "share", "1", 1.0, units=("m",)),
+    Change("cantilever_resonance", "structure", _mode, "share", "1", 1.0, units=("m",), fixed=_of_mode),
     Change("series_resistance", "film", lambda t, y, r: y + r, "resistance", "ohm", 0.5, units=("ohm",)),
     Change(
         "leakage_resistance", "film", lambda t, y, g: y / (1 + g * y), "conductance", "S", 2.0, units=("ohm",)

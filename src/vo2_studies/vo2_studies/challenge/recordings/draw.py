@@ -119,7 +119,8 @@ def _conceal(measured: MeasuredSet, test: Recording, change: Change, ratio: floa
             change.parameter: {
                 "value": strength,
                 "unit": measured.unit if change.unit == "response" else change.unit,
-            }
+            },
+            **{n: {"value": v, "unit": u} for n, (v, u) in change.fixed(test.sample_period_s).items()},
         },
         "ratio": moved(after) / unit,
         "channels": [role, roles[measured.response]],
