@@ -26,7 +26,7 @@ class Adequacy:
     ----------
     keys : of the effects that it has
     share : of the excess that is explained, 0 to 1
-    left : excess power that is left, in noise powers of a sample; what the own misfit is expected to leave is none
+    left : excess power that is left, in noise powers of a sample, beyond what an equation a little off leaves of its own
     sigmas : how surely its effects act, see `sureness`; infinite where the values themselves show one
     """
 
@@ -45,21 +45,23 @@ class Adequacy:
         return limits.probability_of_something_else(self.sigmas, self.left)
 
 
-def adequacy_of(option: Option) -> Adequacy:
+def adequacy_of(option: Option, limits: Limits) -> Adequacy:
     """Judge how surely an option acts and what it leaves over.
 
     Parameters
     ----------
     option : the explanation with the problem about it
+    limits : with what an equation leaves
 
     Returns
     -------
     both, with the share of the excess that is explained
     """
-    chosen, left = option.chosen, max(option.remaining, 0.0)
-    evident = any(h.evident for h in chosen.hypotheses)
+    chosen, count, remaining = option.chosen, option.final.count, max(option.remaining, 0.0)
     gain = max(chosen.gain, 0.0)
-    share = gain / max(gain + option.final.count * left, 1e-300)
+    share = gain / max(gain + count * remaining, 1e-300)
+    left = max(remaining - limits.equation * gain / count, 0.0)
+    evident = any(h.evident for h in chosen.hypotheses)
     return Adequacy(chosen.keys, share, left, np.inf if evident else sureness(option))
 
 

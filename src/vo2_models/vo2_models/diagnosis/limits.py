@@ -77,16 +77,19 @@ class Limits:
         "published laws reach 0.01 to 0.03",
     )
     else_base: float = _limit(
-        3.12,
+        3.06,
         "log odds that an explanation is wrong: constant; fitted as in `challenge.calibrate` to the best explanations of 170 "
         "recordings of seven families, named or not: 68 right, a sibling's form among them, and 46 wrong",
     )
     else_sure: float = _limit(
-        3.34, "the same, less for each decade of standard deviations by which its effects act"
+        3.3, "the same, less for each decade of standard deviations by which its effects act"
     )
     else_left: float = _limit(
-        2.02,
+        2.09,
         "the same, more for each decade of 0.1 and the excess power that it leaves, in noise powers of a sample",
+    )
+    equation: float = _limit(
+        0.005, "share of what is explained that does not count as left: an equation 7 % off leaves as much"
     )
     doubt: float = _limit(
         0.3,
@@ -181,7 +184,7 @@ class Limits:
         Parameters
         ----------
         sigmas : standard deviations by which its effects act
-        left : excess power that it leaves, in noise powers of a sample
+        left : excess power that it leaves beyond what its equation may, in noise powers of a sample
         """
         sure = log10(min(max(sigmas, 1.0), SUREST))
         odds = self.else_base - self.else_sure * sure + self.else_left * log10((LEAST + left) / LEAST)
