@@ -14,7 +14,7 @@ from vo2_models.diagnosis.courses import course_columns, gain_of_course, with_co
 from vo2_models.diagnosis.current_reading import as_commanded, between_samples, current_reading
 from vo2_models.diagnosis.explain import Explanation, fit_jointly, score, switched
 from vo2_models.diagnosis.hypotheses import MAGNITUDE_STEP, Hypothesis, hypotheses, windowed
-from vo2_models.diagnosis.limits import SUREST, Limits
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.loop_shape import _block_covariance
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of, rounded_with_noise
@@ -339,7 +339,7 @@ def test_what_acts_in_few_stretches_or_leaves_much_is_improbable() -> None:
     wrong = limits.probability_of_something_else
     assert wrong(10.0, 0.0) > limits.doubt > wrong(100.0, 0.0)
     assert wrong(100.0, 0.0) < wrong(100.0, 1.0) < wrong(100.0, 10.0)
-    assert wrong(np.inf, 0.0) == wrong(SUREST, 0.0)  # what the values show by themselves
+    assert wrong(np.inf, 0.0) == wrong(limits.surest, 0.0)  # what the values show by themselves
 
 
 def test_a_refit_ends_where_no_small_change_fits_better() -> None:

@@ -14,12 +14,10 @@ def cases(families=("a", "b", "c"), *, each=60, seed=3) -> list[Explained]:
     rng = np.random.default_rng(seed)
     found = []
     for family in families:
-        for sigmas, left in zip(
-            10.0 ** rng.uniform(0, 2.5, each), 10.0 ** rng.uniform(-2, 1, each), strict=True
-        ):
-            odds = TRUE[0] - TRUE[1] * np.log10(sigmas) + TRUE[2] * np.log10(1.0 + 10.0 * left)
+        for sure, left in rng.uniform(0.0, 2.5, (each, 2)):
+            odds = TRUE[0] - TRUE[1] * sure + TRUE[2] * left
             wrong = rng.random() < 1.0 / (1.0 + np.exp(-odds))
-            found.append(Explained(family, float(sigmas), float(left), not wrong))
+            found.append(Explained(family, sure, left, not wrong))
     return found
 
 
@@ -29,7 +27,7 @@ def test_the_coefficients_are_those_the_cases_were_drawn_with() -> None:
 
 def test_a_family_has_no_say_in_its_own_probabilities() -> None:
     good = cases()
-    spoiled = [c if c.family != "a" else Explained("a", c.sigmas, c.left, not c.right) for c in good]
+    spoiled = [c if c.family != "a" else Explained("a", c.sure, c.left, not c.right) for c in good]
     own = np.array([c.family == "a" for c in good])
     assert np.allclose(left_out(good)[own], left_out(spoiled)[own])
     assert not np.allclose(left_out(good)[~own], left_out(spoiled)[~own])

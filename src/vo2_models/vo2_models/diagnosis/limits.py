@@ -10,13 +10,7 @@ from dataclasses import dataclass, field, fields
 from math import exp, log10
 from typing import Any
 
-__all__ = ["LEAST", "SUREST", "Limits"]
-
-
-LEAST = 0.1
-"""Excess power, in noise powers, from which what is left counts: less is within what a noise's level is known to."""
-SUREST = 1000.0
-"""Standard deviations beyond which nothing is surer."""
+__all__ = ["Limits"]
 
 
 def _limit(value: float, provenance: str) -> Any:
@@ -86,8 +80,13 @@ class Limits:
     )
     else_left: float = _limit(
         2.09,
-        "the same, more for each decade of 0.1 and the excess power that it leaves, in noise powers of a sample",
+        "the same, more for each decade of `least` and the excess power that it leaves, in noise powers of a sample",
     )
+    least: float = _limit(
+        0.1,
+        "excess power, in noise powers, from which what is left counts: a noise's level is known to as much",
+    )
+    surest: float = _limit(1000.0, "standard deviations beyond which nothing is surer")
     equation: float = _limit(
         0.005, "share of what is explained that does not count as left: an equation 7 % off leaves as much"
     )
@@ -186,8 +185,8 @@ class Limits:
         sigmas : standard deviations by which its effects act
         left : excess power that it leaves beyond what its equation may, in noise powers of a sample
         """
-        sure = log10(min(max(sigmas, 1.0), SUREST))
-        odds = self.else_base - self.else_sure * sure + self.else_left * log10((LEAST + left) / LEAST)
+        sure = log10(min(max(sigmas, 1.0), self.surest))
+        odds = self.else_base - self.else_sure * sure + self.else_left * log10(1.0 + left / self.least)
         return 1.0 / (1.0 + exp(-odds))
 
     def with_provenance(self) -> dict[str, dict[str, float | str]]:

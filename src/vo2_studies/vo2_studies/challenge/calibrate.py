@@ -10,6 +10,7 @@ coefficients that were fitted to the others; the last line has those fitted to a
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +19,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from vo2_models.diagnosis.limits import LEAST, SUREST
 
 from vo2_studies.challenge.figures import interval
 from vo2_studies.challenge.runner import load_json
@@ -42,13 +42,13 @@ class Explained:
     Attributes
     ----------
     family : of the concealed hysteresis
-    sigmas, left : how surely it acts and what it leaves, as in the diagnosis
+    sure, left : decades of how surely it acts and of what it leaves, as the diagnosis counts them
     right : whether all its effects were concealed, in this form or a sibling's
     in_use : coefficients that the diagnosis had
     """
 
     family: str
-    sigmas: float
+    sure: float
     left: float
     right: bool
     in_use: tuple[float, ...] = ()
@@ -62,19 +62,20 @@ def read_explained(folder: Path) -> list[Explained]:
         diagnosis: Mapping | None = result["diagnosis"]
         if diagnosis is None or not diagnosis.get("adequacy") or "sigmas" not in diagnosis["adequacy"]:
             continue
-        adequacy, limits = diagnosis["adequacy"], diagnosis["decision_limits"]
+        adequacy = diagnosis["adequacy"]
+        limits = {name: float(limit["value"]) for name, limit in diagnosis["decision_limits"].items()}
         concealed = {name for e in answer["effects"] for name in (e["id"], *e["siblings"])}
         right = set(adequacy["of"]) <= concealed
-        in_use = tuple(float(limits[name]["value"]) for name in LIMITS)
-        found.append(Explained(answer["family"], adequacy["sigmas"], adequacy["left"], right, in_use))
+        in_use = tuple(limits[name] for name in LIMITS)
+        sure = math.log10(min(max(adequacy["sigmas"], 1.0), limits["surest"]))
+        left = math.log10(1.0 + adequacy["left"] / limits["least"])
+        found.append(Explained(answer["family"], sure, left, right, in_use))
     return found
 
 
 def features(cases: Sequence[Explained]) -> Floats:
     """Return what the log odds of a wrong explanation are linear in, (n, 3)."""
-    return np.array(
-        [[1.0, -np.log10(np.clip(c.sigmas, 1.0, SUREST)), np.log10((LEAST + c.left) / LEAST)] for c in cases]
-    )
+    return np.array([[1.0, -c.sure, c.left] for c in cases])
 
 
 def calibrated(cases: Sequence[Explained]) -> Floats:
