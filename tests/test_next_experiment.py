@@ -127,6 +127,23 @@ def test_without_a_device_of_this_kind_nothing_is_recorded(graph, conductor, tmp
     assert not (tmp_path / "next").exists()
 
 
+def test_a_rig_of_a_device_file_is_told_by_its_id(graph, conductor, tmp_path):
+    """It calls itself by the path of its file; the model holds the description, which its fit may have completed."""
+    document = json.loads(preset(DEVICE).document) | {"id": "o'rig"}
+    mine, other = (tmp_path / f"{name}.yaml" for name in ("mine", "other"))
+    mine.write_text(json.dumps(document))
+    other.write_text(json.dumps(document | {"id": "another"}))
+    of_model = preset(mine).completed({"transition": {"heating": [61.0, 3.0]}}).document
+    graph.start("plant", parameters={"preset": str(mine), "seed": SEED})
+    conductor.wait_for_nodes(["/vo2/plant"])
+    with pytest.raises(ValueError, match=r"mine.yaml', the model is of 'another'"):
+        play(proposal().excitation, tmp_path / "next", device=preset(other).document, sample_period_s=DT)
+    assert play(proposal().excitation, tmp_path / "next", device=of_model, sample_period_s=DT)
+    recording, problems = read_recording(tmp_path / "next")
+    assert problems == [] and recording.device == str(mine)
+    assert np.nanmax(recording[COMMANDED_CURRENT]) == np.max(STEPS.levels_a)
+
+
 def test_a_device_that_another_node_commands_is_left_alone(graph, conductor, tmp_path):
     graph.start("plant", parameters={"preset": DEVICE})
     graph.start("identifier", parameters={"preset": DEVICE, "fit": False, "excitation.level": 300})

@@ -248,9 +248,29 @@ def test_a_guard_blanks_what_means_nothing(tmp_path):
     assert [problem.kind for problem in one.problems] == ["nan"]
 
 
+def test_a_share_of_another_column_is_taken_off(tmp_path):
+    """A known load, a lead's voltage, a tare: in SI units, missing where either has no value."""
+    text = MAP.replace("unit: kohm}", "unit: kohm, less: {column: T, unit: K, factor: 20}}")
+    one = converted(tmp_path, text=text, table=TABLE.replace("20,301", "20,"))
+    celsius = np.array([26.85, np.nan, 28.85])
+    np.testing.assert_allclose(one.recording["film_resistance"], [1e4, 2e4, 3e4] - 20 * celsius, rtol=1e-12)
+    assert {problem.kind for problem in one.problems} == {"nan"}
+
+
 @pytest.mark.parametrize(
     ("change", "table", "named"),
     [
+        (
+            ("unit: kohm", "unit: kohm, less: {column: T, unit: K}"),
+            TABLE,
+            "less: factor: found nan, need a finite",
+        ),
+        (
+            ("unit: kohm", "unit: kohm, less: {column: T, factor: 2}"),
+            TABLE,
+            "less: unit: found None, need one of",
+        ),
+        (("unit: kohm", "unit: kohm, less: {column: P, unit: bar, factor: 2}"), TABLE, r"no column 'P'"),
         (("column: R", "column: Rho"), TABLE, r"column 'Rho'.*'t', 'I', 'R', 'T'"),
         (("", ""), TABLE.replace("20", "2o"), r"table\.csv: row 3, column 'R': found '2o', need a number"),
         (

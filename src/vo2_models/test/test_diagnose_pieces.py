@@ -11,9 +11,9 @@ from vo2_models.diagnosis.breakdown import one_loop, turning_points
 from vo2_models.diagnosis.check import Unusable, check_recording
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.next_experiment import library
-from vo2_models.diagnosis.noise import NoiseModel, fit_noise, level_from_differences
+from vo2_models.diagnosis.noise import NoiseModel, fit_noise, level_from_differences, value_step
 from vo2_models.diagnosis.nominal import Nominal
-from vo2_models.diagnosis.part import regular, value_step
+from vo2_models.diagnosis.part import regular
 from vo2_models.diagnosis.report import probabilities
 from vo2_models.diagnosis.result import SCHEMA, validate
 from vo2_models.hysteresis.play_bank import PlayBank
@@ -170,6 +170,14 @@ def test_what_is_unusable_is_refused_with_the_reason() -> None:
     for words, bad in cases.items():
         with pytest.raises(Unusable, match=words):
             check_recording(bad, model())
+
+
+def test_the_steps_of_a_coarse_converter_are_no_noise() -> None:
+    fast = 2e-5 + 2e-5 * np.sin(np.arange(2000) * 0.6)
+    coarse = 9e-6 * np.round(fast / 9e-6)
+    assert level_from_differences(coarse) > 0.25 * np.std(coarse)
+    found = check_recording(recording(tip_deflection=coarse), model())
+    assert not [finding for finding in found if finding.kind == "noise"]
 
 
 def test_few_samples_and_jittered_stamps_are_limits() -> None:

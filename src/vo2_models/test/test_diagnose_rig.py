@@ -2,11 +2,14 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from vo2_models.device.description import described
+from vo2_models.device.description import described, preset
 from vo2_models.diagnosis import report
+from vo2_models.diagnosis.families import BY_DEPENDENCE, family_of_unnamed
+from vo2_models.diagnosis.nonparametric_correction import Shape
 from vo2_models.diagnosis.pipeline import study
 from vo2_models.diagnosis.report import assemble_diagnosis
 from vo2_models.hysteresis.preisach import PreisachOperator
@@ -71,6 +74,54 @@ def test_a_large_change_differs(model):
     assert found.decision.verdict == "differs"
     assert "most in stroke" in assemble_diagnosis(found).summary
     assert found.located.own_misfit[TIP_DEFLECTION] > found.limits.own_misfit
+
+
+def test_a_name_must_be_more_likely_than_everything_else_together(model, monkeypatch):
+    """Without body no rival is told beside a name: one that is as likely as another is none."""
+    found = study([recorded(2)], model)
+    named = replace(
+        found, decision=replace(found.decision, chosen=SimpleNamespace(keys=("cantilever_resonance",)))
+    )
+    monkeypatch.setattr(report, "_something_else", lambda study: 0.1)
+
+    def says(likely: float, device=DEVICE) -> bool:
+        monkeypatch.setattr(report, "_candidates", lambda study: ([], {"cantilever_resonance": likely}))
+        nominal = named.located.problem.nominal
+        of = replace(nominal, model=replace(nominal.model, device=device.key))
+        problem = replace(named.located.problem, nominal=of)
+        return report.unlikely(replace(named, located=replace(named.located, problem=problem)))
+
+    assert says(0.45) and says(0.5) and not says(0.51)
+    # a device with a body tells the rivals of a name, and the experiment that separates them
+    assert not says(0.45, preset("integrated")) and says(0.05, preset("integrated"))
+
+
+def _shape(group: str) -> Shape:
+    return Shape(TIP_DEFLECTION, group, group, 1.0, 1.0)
+
+
+def test_an_unnamed_effect_has_no_family_that_the_device_has_not(model):
+    """Of a loop and its one sensor neither structure nor film can be told; of a device whose file tells a structure it can."""
+    found = study([recorded(2)], model)
+    problem, excess = found.located.problem, {TIP_DEFLECTION: 9.0}
+    groups = [*BY_DEPENDENCE[TIP_DEFLECTION], "time and value"]
+    families = {group: family_of_unnamed(problem, excess, [_shape(group)]) for group in groups}
+    assert set(families.values()) == {f"sensor:{TIP_DEFLECTION}", "transition", "drive"}
+    assert families["time and value"] == f"sensor:{TIP_DEFLECTION}"
+    assert family_of_unnamed(problem, excess, []) == "transition"
+    beam = described({**json.loads(DEVICE.document), "structure": {"length": 4e-4}}, "beam")
+    nominal = replace(problem.nominal, model=replace(problem.nominal.model, device=beam.key))
+    assert family_of_unnamed(replace(problem, nominal=nominal), excess, []) == "structure"
+
+
+def test_a_gain_that_walks_is_the_sensor_s(model):
+    """With one response a drift of its sensor shows as time and its own value, whatever the loop does there."""
+    walking = recorded(2, change=lambda y: y * np.linspace(1.0, 1.3, y.size))
+    found = study([walking], model)
+    unnamed = found.decision.unnamed
+    assert unnamed is not None and unnamed.shapes[0].group == "time and value"
+    (effect,) = assemble_diagnosis(found).effects
+    assert (effect.id, effect.family) == ("unknown", f"sensor:{TIP_DEFLECTION}")
 
 
 def test_a_response_that_is_missing_is_named_as_the_device_names_it_and_units_are_its_own(model):

@@ -11,7 +11,7 @@ from typing import Any
 
 from vo2_models.device.description import PRESETS, DeviceDescription, preset
 from vo2_models.io import InputError, read_yaml
-from vo2_models.units import CHANNEL_QUANTITIES, SI, Unit, fitting_units, unit_named
+from vo2_models.units import CHANNEL_QUANTITIES, SI, UNITS, Unit, fitting_units, unit_named
 
 __all__ = ["ColumnMap", "Guard", "MapError", "Series", "Source", "read_map"]
 
@@ -22,12 +22,16 @@ class MapError(InputError):
 
 @dataclass(frozen=True)
 class Source:
-    """One column: its name or number (from 1); SI value = unit of (scale * cell + offset)."""
+    """One column: its name or number (from 1); SI value = unit of (scale * cell + offset), less another column's share.
+
+    `less` is that column with a factor for its SI values, such as a pressure and the area that it acts on.
+    """
 
     column: str | int
     unit: Unit
     scale: float = 1.0
     offset: float = 0.0
+    less: tuple[Source, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -230,7 +234,9 @@ def _time(entry: Any, where: str) -> Source | float:
 
 
 def _source(entry: Any, quantity: str, where: str) -> Source:
-    keys = {"column": (str, int), "unit": (str, int), "scale": float, "offset": float, "valid_where": dict}
+    keys = {
+        "column": (str, int), "unit": (str, int), "scale": float, "offset": float, "valid_where": dict, "less": dict,
+    }  # fmt: skip
     entry = _checked(entry, keys, where)
     for key in ("column", "unit"):
         if key not in entry:
@@ -247,7 +253,22 @@ def _source(entry: Any, quantity: str, where: str) -> Source:
     column = entry["column"]
     if isinstance(column, int) and column < 1:
         raise MapError(f"{where}: column: found {column}, need a number from 1, or a name")
-    return Source(column, unit, float(entry.get("scale", 1.0)), float(entry.get("offset", 0.0)))
+    less = _less(entry["less"], f"{where}: less") if "less" in entry else None
+    return Source(column, unit, float(entry.get("scale", 1.0)), float(entry.get("offset", 0.0)), less)
+
+
+def _less(entry: Any, where: str) -> tuple[Source, float]:
+    """What is taken off a channel: a column in any unit, and the channel's SI unit per SI unit of it."""
+    entry = _checked(entry, {"column": (str, int), "unit": (str, int), "factor": float}, where)
+    factor = entry.pop("factor", math.nan)
+    if not math.isfinite(factor):
+        raise MapError(
+            f"{where}: factor: found {factor}, need a finite number, the channel's SI unit per SI unit of this"
+        )
+    quantity = next((q for q in SI if unit_named(str(entry.get("unit", "")), q)), None)
+    if quantity is None:
+        raise MapError(f"{where}: unit: found {entry.get('unit')!r}, need one of {', '.join(UNITS)}")
+    return _source(entry, quantity, where), float(factor)
 
 
 def _guard(entry: Any, where: str) -> Guard:

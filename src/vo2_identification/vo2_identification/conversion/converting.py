@@ -168,8 +168,12 @@ def _values(table: Table, source: Source, column_map: ColumnMap) -> NDArray[np.f
                 f"{table.path}: row {row}, column {source.column!r}: found {cell!r}, need a number; "
                 + _remedy(cell, column_map)
             ) from None
+    less, factor = source.less or (None, 0.0)
+    other = _values(table, less, column_map) if less else 0.0
     with np.errstate(over="ignore", invalid="ignore"):  # what a scale makes infinite is reported by its rows
-        return source.unit.factor * (source.scale * values + source.offset) + source.unit.offset
+        return (
+            source.unit.factor * (source.scale * values + source.offset) + source.unit.offset - factor * other
+        )
 
 
 def _remedy(cell: Any, column_map: ColumnMap) -> str:

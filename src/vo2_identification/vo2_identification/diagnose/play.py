@@ -69,7 +69,7 @@ def playable_levels(excitation: Mapping[str, Any], device: str) -> list[float]:
     if np.min(levels) < low or np.max(levels) > high:
         raise ValueError(
             f"excitation.levels_a: found {np.min(levels):.6g} to {np.max(levels):.6g} A, need {low:g} to {high:g} A, "
-            f"the limits of {device}"
+            f"the limits of {preset(device).id}"
         )
     return [preset(device).operating_range[0], *levels.tolist()]
 
@@ -93,7 +93,8 @@ def play(
     ----------
     excitation : `next_experiment.excitation` of a diagnosis
     bag : folder to create, mcap
-    device, sample_period_s : preset and sampling [s] that the experiment was designed for
+    device : that the experiment was designed for, as `preset` takes it: the text that a model holds too
+    sample_period_s : sampling [s] that it was designed for
     namespace : of the loop
     wait_s : time in which a device must be found [s]
     progress : called with the share played, 0 to 1, and what is being done
@@ -113,7 +114,9 @@ def play(
     stop = StopFlag()
     # what goes well is told by `progress`
     arguments = ["--log-level", "warn", "-r", f"__ns:={namespace}", "-r", f"identifier:__node:={_NAME}"]
-    arguments += ["-p", f"preset:={device}", "-p", f"rate_hz:={1.0 / sample_period_s!r}"]
+    # a description is quoted as YAML: bare, ROS takes it for a mapping
+    quoted = "'" + device.replace("'", "''") + "'"
+    arguments += ["-p", f"preset:={quoted}", "-p", f"rate_hz:={1.0 / sample_period_s!r}"]
     executor, nodes = None, list[Node]()
     try:
         join_graph(["--ros-args", *arguments])
@@ -180,9 +183,10 @@ def _meet(node: IdentifierNode, executor: Executor, stop: StopFlag, device: str,
         )
     _spin(executor, _OTHERS_S, lambda: bool(commanded))
     reader.read(measured[-1])
-    if reader.device and reader.device != device:
+    wanted = preset(device).id
+    if reader.device and wanted not in (reader.device, _id_of(reader.device)):
         raise ValueError(
-            f"--next: {measurement} comes from device {reader.device!r}, the model is of {device!r}"
+            f"--next: {measurement} comes from device {reader.device!r}, the model is of {wanted!r}"
         )
     if commanded:
 
@@ -197,6 +201,14 @@ def _meet(node: IdentifierNode, executor: Executor, stop: StopFlag, device: str,
         )
     for subscription in listening:
         node.destroy_subscription(subscription)
+
+
+def _id_of(name: str) -> str:
+    """Return the id of the device that a rig calls itself; its name where no preset and no file here is called so."""
+    try:
+        return preset(name).id
+    except ValueError:  # the file of a rig on another machine
+        return name
 
 
 def _play(

@@ -184,6 +184,11 @@ class DeviceDescription:
         return any(r.role == TIP_DEFLECTION for r in self.responses)
 
     @property
+    def is_one_loop(self) -> bool:
+        """Whether a loop is all between the drive and a single response: no body, and no structure that the file tells."""
+        return not self.has_body and len(self.responses) == 1 and not self.tells("structure")
+
+    @property
     def key(self) -> str:
         """What stands for this device in a model: its id if it is a shipped one, else its whole description."""
         return self.id if self.id in PRESETS and preset(self.id) == self else self.document

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device import PRESETS, preset
-from vo2_models.diagnosis.noise import level_from_differences
+from vo2_models.diagnosis.noise import level_from_differences, value_step
 from vo2_models.diagnosis.nominal import Nominal, judged
 from vo2_models.identification.plausibility import impossible, unusual
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
@@ -226,8 +226,8 @@ def _channel(recording: Recording, channel: str, nominal: Nominal) -> tuple[list
             Finding("constant", f"{channel} is constant: a broken lead or a stuck converter"),
         ], False
     noise = level_from_differences(x)
-    # of few samples the differences are the signal's own
-    if x.size >= FEW and noise > 0.25 * float(np.std(x)):
+    # of few samples the differences are the signal's own, and of a coarse converter's values they are its steps
+    if x.size >= FEW and noise > 0.25 * float(np.std(x)) and not _of_steps(recording[channel][good]):
         return [
             *found,
             Finding("noise", f"{channel} is mostly noise (level {noise / np.std(x):.0%} of its spread)"),
@@ -243,6 +243,12 @@ def _channel(recording: Recording, channel: str, nominal: Nominal) -> tuple[list
             Finding("clipped", f"{channel} sits at its end value in {100 * ends:.1f} % of the samples")
         )
     return found, True
+
+
+def _of_steps(values: Floats) -> bool:
+    """Whether values (n,) bend no more than by one step of the converter whose comb they lie on."""
+    step = value_step(values)
+    return step > 0.0 and float(np.median(np.abs(np.diff(values, 2)))) < 1.5 * step
 
 
 def limits_in_words(findings: Sequence[Finding]) -> list[str]:

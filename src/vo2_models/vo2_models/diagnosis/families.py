@@ -35,6 +35,16 @@ BY_DEPENDENCE = {
 }  # fmt: skip
 """Channel that alone takes part (empty for both) -> what the correction depends on -> family."""
 
+OF_ONE_LOOP = {
+    "value": "sensor", "time": "sensor", "tone": "sensor", "time and value": "sensor", "lagged drive": "sensor",
+    "rate": "sensor", "current": "drive", "temperature": "transition", "branch": "transition",
+    "time and temperature": "transition", "travel": "transition", "reversals": "transition",
+    "felt temperature": "transition", "felt tone": "transition",
+}  # fmt: skip
+"""The same of a device of which nothing but a loop is known between its drive and a single response: what depends on the
+place in the loop is the loop's, what follows late or on the value itself is the sensor's. There is no structure behind the
+loop, and no film apart from it, that could be told."""
+
 
 def family_of_unnamed(
     problem: LinearisedProblem, excess: Mapping[str, float], shapes: Sequence[Shape]
@@ -43,7 +53,8 @@ def family_of_unnamed(
 
     Something upstream of the film changes a temperature, and a temperature shows in resistance and deflection by their
     sensitivities to it. Where one of the two has next to nothing of what the other's excess would make of it, only that
-    other takes part.
+    other takes part. A device with one response and nothing between it and the drive but a loop has families of its own,
+    see `OF_ONE_LOOP`.
 
     Parameters
     ----------
@@ -57,10 +68,11 @@ def family_of_unnamed(
     if loudest == STAGE_TEMPERATURE:
         return "heat"
     alone = _alone(problem, excess, {s.channel for s in shapes})
+    by_dependence = OF_ONE_LOOP if problem.nominal.model.description.is_one_loop else BY_DEPENDENCE[alone]
     depends = next((s.group for s in shapes if not alone or s.channel == alone), "")
     if not depends:
         depends = "temperature" if alone else "felt temperature"
-    family = BY_DEPENDENCE[alone][depends]
+    family = by_dependence[depends]
     return f"sensor:{alone}" if family == "sensor" else family
 
 

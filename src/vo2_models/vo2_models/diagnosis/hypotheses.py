@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from vo2_models.device.coefficients import HUGE
-from vo2_models.diagnosis.part import value_step
+from vo2_models.diagnosis.noise import value_step
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.effects import Effect, effects
 from vo2_models.effects.record import CHOICE

@@ -158,6 +158,9 @@ def _groups(problem: LinearisedProblem, rows: list[Row], residual: Floats) -> di
         "reversals": ("the last turning points: the shape of minor loops", _of_reversals),
         "travel": ("the distance travelled so far: wear, fatigue or training", _of_travel),
     }  # fmt: skip
+    if problem.nominal.model.description.is_one_loop:  # elsewhere other channels tell a sensor from the film
+        words = "time, more at some of the channel's own values than at others (a sensor that drifts)"
+        builders["time and value"] = (words, _of_time_and_value)
     found = {}
     for name, (words, builder) in builders.items():
         blocks = []
@@ -262,9 +265,17 @@ def _of_time(part: Part, response: Response, row: Row) -> Floats:
 
 
 def _of_time_and_temperature(part: Part, response: Response, row: Row) -> Floats:
-    slow = _spline(part.time_s, 5)
-    warm = _spline(response.temperature, 6)
-    return (slow[:, :, None] * warm[:, None, :]).reshape(part.size, -1)
+    return _with_time(part, response.temperature)
+
+
+def _of_time_and_value(part: Part, response: Response, row: Row) -> Floats:
+    return _with_time(part, response.channels[row.channel])
+
+
+def _with_time(part: Part, values: Floats) -> Floats:
+    """Products (n, k) of slow splines of time and splines of values (n,)."""
+    slow, other = _spline(part.time_s, 5), _spline(values, 6)
+    return (slow[:, :, None] * other[:, None, :]).reshape(part.size, -1)
 
 
 def _of_lagged_drive(part: Part, response: Response, row: Row) -> Floats:

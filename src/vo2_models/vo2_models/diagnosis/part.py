@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from vo2_models.device import preset
 from vo2_models.diagnosis.check import JITTERED, SHORTEST, jitter_of
 from vo2_models.diagnosis.current_reading import as_commanded
+from vo2_models.diagnosis.noise import value_step
 from vo2_models.diagnosis.nominal import Nominal, drive_of, judged
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
 
-__all__ = ["Part", "prepare", "regular", "value_step"]
+__all__ = ["Part", "prepare", "regular"]
 
 Floats = NDArray[np.float64]
 BLIND = 3
@@ -171,22 +172,3 @@ def _wanders(logged: Floats, samples: int) -> bool:
     """Whether a drive with no body behind it moves by more than `AWAY` of its range in so many samples, one time in ten."""
     moves = np.abs(logged[samples:] - logged[:-samples])
     return not np.nanquantile(moves, 0.9) < AWAY * (np.nanmax(logged) - np.nanmin(logged))
-
-
-def value_step(values: Floats) -> float:
-    """Return the distance of neighbouring values if all lie on a comb, else 0.
-
-    A comb is told from chance by values that repeat and lie, all of them, at multiples of one distance.
-
-    Parameters
-    ----------
-    values : (n,) finite
-    """
-    distinct = np.unique(values)
-    if distinct.size < 3 or distinct.size > 0.8 * values.size:
-        return 0.0
-    gaps = np.diff(distinct)
-    gaps = gaps[gaps > 1e-6 * np.max(gaps)]
-    step = float(np.median(gaps[gaps < 1.5 * np.min(gaps)]))
-    place = distinct / step
-    return step if float(np.max(np.abs(place - np.rint(place)))) < 0.05 else 0.0

@@ -230,6 +230,10 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
 def unlikely(study: Study) -> bool:
     """Return whether something else than what is named is more likely than a name.
 
+    On a device with a body that is what is in no catalogue: a rival of the name is told beside it, with the experiment
+    that separates them. On a device without body, whose own misfit is the yardstick, no rival is told; there a name
+    stands for itself and must be more likely than everything else together.
+
     Parameters
     ----------
     study : what the stages found
@@ -237,7 +241,10 @@ def unlikely(study: Study) -> bool:
     if study.decision.chosen is None:
         return False
     probability = _candidates(study)[1]
-    return min(probability[key] for key in study.decision.chosen.keys) < _something_else(study)
+    least = min(probability[key] for key in study.decision.chosen.keys)
+    if not study.located.problem.nominal.model.description.has_body:
+        return least <= 0.5
+    return least < _something_else(study)
 
 
 def _weights(study: Study, everyone: Sequence[Explanation], chi: Sequence[float]) -> Floats:
