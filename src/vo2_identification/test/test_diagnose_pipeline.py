@@ -325,13 +325,15 @@ def test_a_coarser_converter_is_named_with_little_to_gain(parameters) -> None:
 
 
 @pytest.mark.parametrize("straight", [True, False])
-def test_a_gain_that_settles_is_no_drift(parameters, straight) -> None:
+def test_a_gain_that_drifts_may_settle(parameters, straight) -> None:
     plain = concealed()
     past = plain.time_s / plain.time_s[-1]
     change = -0.02 * past if straight else -0.04 * (1.0 - np.exp(-4.0 * past))
     film = plain[RESISTANCE] * (1.0 + change)
     answer = diagnose([Recording(plain.time_s, {**plain.channels, RESISTANCE: film}, DEVICE)], parameters)
-    assert [e.id for e in answer.effects] == ["sensor_gain_drift" if straight else "unknown"]
+    assert [(e.id, e.signal) for e in answer.effects] == [("sensor_gain_drift", RESISTANCE)]
+    bend = answer.effects[0].parameters["curvature"].value * plain.time_s[-1] ** 2
+    assert abs(bend) < 2e-3 if straight else bend == pytest.approx(0.04, abs=0.02)
     assert answer.location[0].signal == RESISTANCE
 
 

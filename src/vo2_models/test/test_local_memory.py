@@ -1,4 +1,4 @@
-"""Elements of local memory against Duhem's differential equation and the limiting-loop law."""
+"""Elements of local memory against their differential equations and the limiting-loop law."""
 
 from itertools import pairwise, product
 
@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from vo2_models.hysteresis.limiting_loop import LimitingLoop
 from vo2_models.identification.enrichment import LOCAL, EnrichmentBasis
-from vo2_models.identification.local_memory import LimitingLoops, LocalMemory
+from vo2_models.identification.local_memory import FadingLags, LimitingLoops, LocalMemory
 
 ELEMENTS = LocalMemory((55.0, 61.0), (1.5, 4.0), (0.8, 1.9))
 
@@ -51,8 +51,31 @@ def test_limiting_loops_are_those_of_the_law():
         assert found[:, place] == pytest.approx(law.run(temperature), abs=3e-5)
 
 
+def test_fading_lags_are_their_equation():
+    lags, temperature = FadingLags((56.0, 60.0), (1.5, 3.0), (0.9,), reach=(0.8, 2.0)), path(6)[:400]
+    found = lags.features(temperature)
+    for place, (half_width, reach, centre) in enumerate(product(lags.half_width, lags.reach, lags.centre)):
+        behind, wanted = 1.0, []
+        for start, end in pairwise(np.r_[temperature[0], temperature]):
+            towards, way = np.sign(end - start), reach * half_width
+            if towards:
+                after = solve_ivp(
+                    lambda _, x, d=towards, w=way: d * (d - x) / w, (start, end), [behind], rtol=1e-9
+                )
+                behind = float(after.y[0, -1])
+            wanted.append(1.0 / (1.0 + np.exp(-(end - half_width * behind - centre) / 0.9)))
+        assert found[:, place] == pytest.approx(np.array(wanted), abs=2e-4)
+
+
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("elements", [ELEMENTS, LimitingLoops((55.0, 61.0), (1.5, 4.0), (0.8, 1.9))])
+@pytest.mark.parametrize(
+    "elements",
+    [
+        ELEMENTS,
+        LimitingLoops((55.0, 61.0), (1.5, 4.0), (0.8, 1.9)),
+        FadingLags((55.0, 61.0), (1.5, 4.0), (0.8, 1.9)),
+    ],
+)
 def test_the_sum_is_that_of_the_features(elements, seed):
     temperature = np.r_[
         path(seed), np.full(5, 58.0), 400.0, -200.0, 58.0, 61.0
@@ -79,4 +102,4 @@ def test_a_correction_with_local_memory_is_its_features():
     weights[basis.groups["memoryless"]] = 0.0  # interpolated in `fold`
     features = basis.features(temperature, span=3.0)
     assert basis.fold(weights, span=3.0)(temperature) == pytest.approx(features @ weights, abs=1e-9)
-    assert features.shape[1] == EnrichmentBasis().columns + 56 + 21
+    assert features.shape[1] == EnrichmentBasis().columns + 56 + 21 + 42

@@ -174,22 +174,25 @@ def test_minor_loops_lie_inside_and_settle(family):
     assert lower > upper
 
 
-def heights(film):
-    """Return the height of the excursion 55-64 degC entered from the cold and from the hot."""
+def incongruency(film):
+    """Return the largest difference in height of the same excursion entered from the cold and from the hot, of three."""
     found = []
-    for turns in ([22.0, 64.0, 55.0, 64.0], [22.0, 85.0, 55.0, 64.0]):
-        fraction = trace(film.metal, path(turns), film.feedback, 3600.0)
-        found.append(fraction[-1] - fraction[-150])
-    return found
+    for low, high in ((55.0, 64.0), (57.0, 61.0), (59.0, 67.0)):
+        ends = []
+        for turns in ([22.0, high, low, high], [22.0, 85.0, low, high]):
+            fraction = trace(film.metal, path(turns), film.feedback, 3600.0)
+            ends.append(fraction[-1] - fraction[-150])
+        found.append(abs(ends[0] - ends[1]))
+    return max(found)
 
 
 def test_only_independent_domains_are_congruent():
     for family in FAMILIES:
-        low, high = heights(draw_film(np.random.default_rng(5), FILM, misfit=0.1, family=family))
+        largest = incongruency(draw_film(np.random.default_rng(5), FILM, misfit=0.1, family=family))
         if family in ("plays", "clusters"):
-            assert low == pytest.approx(high, abs=1e-9)
+            assert largest < 1e-9
         else:
-            assert abs(low - high) > 5e-4, family
+            assert largest > 5e-4, family
 
 
 def test_coercivity_of_the_differential_law_grows_with_the_rate():

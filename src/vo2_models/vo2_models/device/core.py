@@ -212,10 +212,12 @@ def _heat_with_effects(c, x, current, h, time, theta):
         rate /= 1.0 + latent * x[S.SLOPE]
     tau = c[C.TIME_CONSTANT] * generated.lag(c, x, surplus)
     decay = _decay(x, rate, tau, h)
-    generated.advance_thermal(c, x, drive, h, time)
     if c[C.SLOW_SHARE] != 0.0:
         x[S.SLOW] -= math.expm1(-h / c[C.SLOW_TIME]) * (drive - x[S.SLOW])
-    return surplus * decay
+    heat = surplus * decay
+    # what flows on from the body does so behind its lag: with the rise in the middle of the step
+    generated.advance_thermal(c, x, drive, theta + 0.5 * heat, h, time)
+    return heat
 
 
 @inside

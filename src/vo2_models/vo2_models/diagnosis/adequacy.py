@@ -1,9 +1,9 @@
-"""Whether an explanation is adequate: what it leaves over is no larger and no more structured than this device's own misfit.
+"""Whether an explanation is adequate: it surely acts, and leaves no more over than noise and this device's own misfit.
 
 A fitted law misses every device by something, and by how much is a matter of the device: a loop that is no Preisach
-operator leaves several noise powers where another leaves none. What tells the own misfit from physics is not its size but
-that nothing predicts it: no function of time, temperature, rate, current or memory that is fitted to some blocks of the
-recording describes it on the others. What such functions do predict is structure, and a named answer must leave next to none.
+operator leaves several noise powers where another leaves none. Two figures tell a misfit that looks like an effect from the
+effect. A misfit has the pattern in some stretches of a recording and not in others, so that the stretches do not agree on it;
+and it is not used up by one effect, so that more than the device's own misfit is left.
 """
 
 from __future__ import annotations
@@ -12,11 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vo2_models.diagnosis.held_out import block_folds
 from vo2_models.diagnosis.limits import Limits
-from vo2_models.diagnosis.nonparametric_correction import fit_nonparametric_correction
 from vo2_models.diagnosis.pairs import Option, trace
-from vo2_models.diagnosis.problem import LinearisedProblem
 
 __all__ = ["Adequacy", "adequacy_of", "sureness"]
 
@@ -27,59 +24,45 @@ class Adequacy:
 
     Attributes
     ----------
-    gain : drop of chi-square
-    left : excess energy that is left, in noise powers of a sample
-    own : the same that the device's own misfit is expected to leave; infinite where that is not known
-    structured : of that, what functions without a name predict on held-out blocks
+    keys : of the effects that it has
+    share : of the excess that is explained, 0 to 1
+    left : excess power that is left, in noise powers of a sample, beyond what an equation a little off leaves of its own
     sigmas : how surely its effects act, see `sureness`; infinite where the values themselves show one
     """
 
-    gain: float
+    keys: tuple[str, ...]
+    share: float
     left: float
-    own: float
-    structured: float
     sigmas: float
 
-    @property
-    def share(self) -> float:
-        """Share of the excess that is explained, 0 to 1."""
-        return self.gain / max(self.gain + max(self.left, 0.0), 1e-300)
+    def something_else(self, limits: Limits) -> float:
+        """Return the probability that it is none of these effects.
 
-    @property
-    def open(self) -> float:
-        """What could be explained further, as a share of what is explained with it, 0 to 1."""
-        return self.structured / max(self.gain + self.structured, 1e-300)
-
-    def sufficient(self, limits: Limits) -> bool:
-        """Whether it surely acts and explains most, and leaves no more than the own misfit and next to nothing predictable."""
-        no_more = self.left <= self.own or self.share >= limits.thorough
-        closed = self.open <= 1.0 - limits.complete
-        return self.sigmas > limits.sure and self.share >= limits.explained and no_more and closed
+        Parameters
+        ----------
+        limits : with the coefficients
+        """
+        return limits.probability_of_something_else(self.sigmas, self.left)
 
 
-def adequacy_of(option: Option, problem: LinearisedProblem, left_out: float, limits: Limits) -> Adequacy:
-    """Judge what an option leaves over.
+def adequacy_of(option: Option, limits: Limits) -> Adequacy:
+    """Judge how surely an option acts and what it leaves over.
 
     Parameters
     ----------
     option : the explanation with the problem about it
-    problem : without effects, which the gain is told against
-    left_out : excess power, in noise powers of a sample, of the device's own misfit
-    limits : below which excess nothing is looked for
+    limits : with what an equation leaves
 
     Returns
     -------
-    gain of the option, what it leaves over, and how much of that functions without a name predict
+    both, with the share of the excess that is explained
     """
-    final, gain = option.final, option.chosen.gain
-    left = final.count * option.remaining
-    own = final.count * max(left_out, limits.slack)
-    sigmas = np.inf if any(h.evident for h in option.chosen.hypotheses) else sureness(option)
-    if option.remaining < limits.slack:  # what is left is noise, or hardly more
-        return Adequacy(gain, left, own, 0.0, sigmas)
-    residual = final.apply_inverse_covariance(final.residual - option.chosen.deviation)
-    found = fit_nonparametric_correction(final, residual, block_folds(final))
-    return Adequacy(gain, left, own, found.removed, sigmas)
+    chosen, count, remaining = option.chosen, option.final.count, max(option.remaining, 0.0)
+    gain = max(chosen.gain, 0.0)
+    share = gain / max(gain + count * remaining, 1e-300)
+    left = max(remaining - limits.equation * gain / count, 0.0)
+    evident = any(h.evident for h in chosen.hypotheses)
+    return Adequacy(chosen.keys, share, left, np.inf if evident else sureness(option))
 
 
 def sureness(option: Option) -> float:

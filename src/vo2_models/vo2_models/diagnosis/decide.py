@@ -137,7 +137,7 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
     for option in found.options:
         judged = held_out(option.final, option.chosen, reference=problem, folds=folds, tick=clock.tick)
         shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
-        adequacy = adequacy_of(option, problem, located.left_out, limits)
+        adequacy = adequacy_of(option, limits)
         shown = max(shown, adequacy.share, judged.share)
         admissible = _is_admissible(option, judged, adequacy, limits)
         if located.own_misfit:
@@ -255,7 +255,7 @@ def _is_admissible(option: Option, judged: HeldOut, adequacy: Adequacy, limits: 
     return (
         _significant(chosen, limits)
         and judged.stable
-        and adequacy.sufficient(limits)
+        and adequacy.something_else(limits) < limits.doubt
         and not chosen.at_bound
         and not _worsens(option, judged)
     )

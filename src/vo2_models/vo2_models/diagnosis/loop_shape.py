@@ -161,7 +161,7 @@ def _loop_shape(nominal: Nominal, channel: str, chosen: LoopShape | None) -> Loo
     if chosen is not None:
         return evidence.shape(evidence.of(chosen.kind, chosen.basis))
     fit = evidence.of(KINDS[0], basis)
-    memories = [kinds for count in range(3) for kinds in combinations(LOCAL, count)]
+    memories = [kinds for count in range(len(LOCAL) + 1) for kinds in combinations(LOCAL, count)]
     # one after the other, and once more with what the others have become
     for kinds, domains, local in (
         (KINDS, (), ()),

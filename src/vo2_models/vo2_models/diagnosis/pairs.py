@@ -171,7 +171,8 @@ def pair_of(
         return None
     waiting = _untried([joint for _, joint in found], about.count, limits)
     tried = {first.keys[0]}
-    for _ in range(EXCHANGES):
+    # a first effect that leaves next to nothing is no stand-in for two others
+    for _ in range(EXCHANGES if alone.remaining > limits.slack else 0):
         key = next((key for key in waiting if key not in tried), None)
         if key is None:
             break

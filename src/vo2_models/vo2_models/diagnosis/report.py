@@ -77,11 +77,12 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
     )
 
 
-def _adequacy(study: Study) -> dict[str, float]:
+def _adequacy(study: Study) -> dict[str, float | list[str]]:
     found = study.decision.adequacy
     if found is None:
         return {}
-    told = {"explained": found.share, "predictable": found.open}
+    ids = [key.partition(":")[0] for key in found.keys]
+    told: dict[str, float | list[str]] = {"of": ids, "explained": found.share, "left": found.left}
     return told | ({"sigmas": found.sigmas} if np.isfinite(found.sigmas) else {})
 
 
@@ -286,13 +287,13 @@ def _change(problem: LinearisedProblem, explanation: Explanation) -> Floats:
 def _something_else(study: Study) -> float:
     """Return the probability that nothing of the catalogue is the answer.
 
-    Of a named answer a logistic function of what is left: of the logarithm of the share that functions without a name
-    predict, and of the share that nothing predicts. Without a name it is one, less what the best single effect explains.
+    Of a named answer a logistic function of how surely it acts and of what it leaves. Without a name it is one, less what
+    the best single effect explains.
     """
-    adequacy, limits = study.decision.adequacy, study.limits
+    adequacy = study.decision.adequacy
     if study.decision.chosen is None or adequacy is None:
         return 1.0 - 0.5 * _best_share(study)
-    return limits.probability_of_something_else(adequacy.open, adequacy.share)
+    return adequacy.something_else(study.limits)
 
 
 def _best_share(study: Study) -> float:

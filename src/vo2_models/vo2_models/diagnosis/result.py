@@ -139,9 +139,9 @@ class Diagnosis:
     """Everything `diagnosis.json` holds.
 
     `summary`, `limits` (of the data, in words), `not_excited`, `excess`, `seconds` and `decision_limits` (of the method,
-    each with its provenance) go beyond the schema, and `adequacy`: shares of the excess that the best answer explains, and of
-    what could be explained that functions without a name predict beyond it, and how surely its effects act, in standard
-    deviations by the scatter over stretches (`sigmas`); `own_misfit`: of resistance and deflection size
+    each with its provenance) go beyond the schema, and `adequacy`: `of` the best answer, named or not, the share of the excess
+    that is `explained`, the excess power `left` beyond it in noise powers of a sample, and how surely its effects act, in
+    standard deviations by the scatter over stretches (`sigmas`); `own_misfit`: of resistance and deflection size
     (`level`, log10 ohm or m) and length (`travel_k`, K) of the misfit that the calibration shows, and by how many noise
     powers it missed the worst stretch of it that was left out (`left_out`).
     """
@@ -160,7 +160,7 @@ class Diagnosis:
     excess: dict[str, float] = field(default_factory=dict)
     seconds: float = 0.0
     decision_limits: dict[str, dict[str, float | str]] = field(default_factory=dict)
-    adequacy: dict[str, float] = field(default_factory=dict)
+    adequacy: dict[str, float | list[str]] = field(default_factory=dict)
     own_misfit: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:

@@ -6,13 +6,16 @@ from vo2_models.recording import RESISTANCE
 EFFECT = Effect(
     id="contact_drift",
     stage="terminals",
-    parameters=(constant_of("rate", 0, "ohm/s", "growth of the resistance in series", -1e5, 1e5),),
+    parameters=(
+        constant_of("rate", 0, "ohm/s", "growth of the resistance in series", -1e5, 1e5),
+        constant_of("curvature", 0, "ohm/s^2", "half its change of rate per time", -1e5, 1e5),
+    ),
     channels=(RESISTANCE,),
     course="rate",
     order=25,
     needs=("resistance",),
     typical={"integrated": {"rate": (40.0, 200.0)}, "peltier": {"rate": (0.05, 0.3)}},
-    equation="R_measured = R + rate t",
+    equation="R_measured = R + rate t + curvature t^2",
     excitation="the metallic plateau at the start and at the end of the recording",
     source="any text on two-terminal measurement",
     statement=(
@@ -22,5 +25,5 @@ EFFECT = Effect(
 )
 
 
-def terminals(value, time, rate):
-    return value + rate * time
+def terminals(value, time, rate, curvature):
+    return value + time * (rate + time * curvature)

@@ -7,6 +7,7 @@ EFFECT = Effect(
     stage="driver",
     parameters=(
         constant_of("rate", 0, "1/s", "relative change of the current per time", -1, 1),
+        constant_of("curvature", 0, "1/s^2", "half its change of rate per time", -1, 1),
         constant_of(
             "logged",
             1,
@@ -20,7 +21,7 @@ EFFECT = Effect(
     course="rate",
     order=40,
     typical={"integrated": {"rate": (1e-3, 6e-3)}, "peltier": {"rate": (1e-5, 6e-5)}},
-    equation="i = u (1 + rate t)",
+    equation="i = u (1 + rate t + curvature t^2)",
     excitation="identical loops at the start and the end of the recording",
     source="any text on instrumentation; electromigration of thin-film heaters",
     statement=(
@@ -30,13 +31,13 @@ EFFECT = Effect(
 )
 
 
-def drive(current, time, rate, logged):
-    return current * (1.0 + rate * time) if logged > 0.5 else current
+def drive(current, time, rate, curvature, logged):
+    return current * (1.0 + time * (rate + time * curvature)) if logged > 0.5 else current
 
 
-def heating(joule, time, on_stage, rate, logged):
+def heating(joule, time, on_stage, rate, curvature, logged):
     if logged > 0.5:
         return 0.0
     # a Peltier stage pumps in proportion to the current, a heater warms with its square
-    grown = 1.0 + rate * time
+    grown = 1.0 + time * (rate + time * curvature)
     return joule * ((grown if on_stage != 0.0 else grown * grown) - 1.0)

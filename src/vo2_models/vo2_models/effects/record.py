@@ -144,7 +144,7 @@ quantities of its stage, own parameters, own states, numbers of `prepare`, and c
 
 ADVANCE: Mapping[str, Mapping[str, str]] = {
     "driver": {"current": "A", "period": "s"},
-    "thermal": {"drive": "K", "h": "s", "time": "s"},
+    "thermal": {"drive": "K", "rise": "K", "h": "s", "time": "s"},
     "transition": {"film": "degC", "h": "s"},
     "terminals": {"value": "ohm", "current": "A", "period": "s"},
     "structure": {"deflection": "m", "period": "s"},

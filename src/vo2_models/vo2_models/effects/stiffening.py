@@ -11,7 +11,12 @@ EFFECT = Effect(
             "stiffness", 0, "1/m^2", "relative loss of deflection per squared deflection", -5e7, 1e12
         ),
         constant_of(
-            "rest_bend", 0, "1/m", "relative loss per deflection: the structure is bent at rest", -4e3, 4e3
+            "rest_bend",
+            0,
+            "1/m",
+            "relative loss per deflection: the structure is bent at rest",
+            -1.2e4,
+            1.2e4,
         ),
     ),
     channels=(TIP_DEFLECTION,),

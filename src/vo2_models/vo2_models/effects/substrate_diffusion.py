@@ -14,7 +14,7 @@ EFFECT = Effect(
     stage="thermal",
     parameters=(
         constant_of(
-            "share", 0, "1", "part of the steady temperature rise that arrives by diffusion", -0.5, 0.5
+            "share", 0, "1", "part of the steady temperature rise that is the substrate's", -0.5, 0.5
         ),
         constant_of("time_constant", 1, "s", "time in which heat crosses the heated length", 1e-5, 1e6),
     ),
@@ -25,11 +25,11 @@ EFFECT = Effect(
         "integrated": {"share": (0.03, 0.1), "time_constant": (0.01, 0.1)},
         "peltier": {"share": (0.03, 0.1), "time_constant": (30.0, 200.0)},
     },
-    equation="T = T0 + (1 - share) theta_1 + share theta_2; theta_2 + tau^(1/2) d^(1/2) theta_2 / dt^(1/2) = k1 i + k2 i^2",
+    equation="T = T0 + (1 - share) theta_1 + share theta_2; theta_2 + tau^(1/2) d^(1/2) theta_2 / dt^(1/2) = theta_1",
     excitation="steps held for many times the time constant of the body: the approach goes with the root of the time",
     source="Carslaw and Jaeger, Conduction of Heat in Solids, 1959 (half-space); spectrum: Cole and Cole, J. Chem. Phys. 9, 1941",
     statement=(
-        "Heat leaves the device into a substrate that has no temperature of its own: the longer it flows, the deeper it "
+        "Heat leaves the body into a substrate that has no temperature of its own: the longer it flows, the deeper it "
         "warms. After a step the temperature runs on with the root of the time, fast at first and for very long, which no "
         "single slow body does."
     ),
@@ -40,10 +40,10 @@ def settled(drive):
     return drive
 
 
-def advance(memory, spread, drive, h, time_constant):
+def advance(memory, spread, rise, h, time_constant):
     for k in range(NODES):
         tau = time_constant * math.exp(STEP * (k - 0.5 * (NODES - 1)))
-        memory[spread + k] -= math.expm1(-h / tau) * (drive - memory[spread + k])
+        memory[spread + k] -= math.expm1(-h / tau) * (rise - memory[spread + k])
 
 
 def body(memory, spread, share):

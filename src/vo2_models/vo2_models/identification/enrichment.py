@@ -26,7 +26,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vo2_models.identification.local_memory import LimitingLoops, LocalMemory
+from vo2_models.identification.local_memory import FadingLags, LimitingLoops, LocalMemory
 from vo2_models.identification.rough import cell_features, cell_sum
 from vo2_models.numerics.kernel import kernel
 from vo2_models.validation import finite_array, positive_number
@@ -36,8 +36,8 @@ __all__ = ["LOCAL", "Correction", "EnrichmentBasis", "everett_table", "preisach_
 Floats = NDArray[np.float64]
 DEEPEST = 512
 """Turning points remembered; deeper ones are merged, which only a signal of that many nested loops notices."""
-WANDERING, LIMITING = "wandering", "limiting"
-LOCAL = (WANDERING, LIMITING)
+WANDERING, LIMITING, FADING = "wandering", "limiting", "fading"
+LOCAL = (WANDERING, LIMITING, FADING)
 """Kinds of local memory, see `local_memory`."""
 PIECE = 128
 """Samples whose columns are written together."""
@@ -226,12 +226,13 @@ class EnrichmentBasis:
             for (name, size), end in zip(sizes.items(), ends, strict=True)
         }
 
-    def _elements(self, kind: str) -> LocalMemory | LimitingLoops:
+    def _elements(self, kind: str) -> LocalMemory | LimitingLoops | FadingLags:
         """Elements of local memory: over the centres, half widths and spreads that films of this kind have."""
         (mean, spread), (half, _) = self.typical_centre, self.typical_half_width
         centres = tuple((mean + spread * np.linspace(-2.4, 2.4, 7)).tolist())
-        if kind == LIMITING:
-            return LimitingLoops(centres, tuple(share * half for share in (0.5, 1.0, 1.5)), (0.35 * spread,))
+        if kind in (LIMITING, FADING):
+            elements = LimitingLoops if kind == LIMITING else FadingLags
+            return elements(centres, tuple(share * half for share in (0.5, 1.0, 1.5)), (0.35 * spread,))
         half_widths = tuple(share * half for share in (0.3, 0.8, 1.2, 1.7))
         return LocalMemory(centres, half_widths, (0.2 * spread, 0.45 * spread))
 

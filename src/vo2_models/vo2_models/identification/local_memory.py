@@ -15,6 +15,12 @@ Hysteresis, 1994, section V; Likhachev and Koval, Scripta Metall. Mater. 27, 223
 
 A second kind of element remembers its last turn and returns to its limiting branch from there, as de Almeida et al. found of
 VO2 films: see `hysteresis.limiting_loop`, whose equations it has with one slope, a = 1 / (2 scale).
+
+A third kind lags behind by a half width r that builds up over a way, as the force of Dahl's friction and of Bouc and Wen's law,
+
+    s = 1 / (1 + exp(-(T - r x - c) / scale)),        dx/d|T| = (sgn dT - x) / (rho r).
+
+Dahl, AIAA J. 14, 1675, 1976; Visintin, section V.
 """
 
 from __future__ import annotations
@@ -29,7 +35,7 @@ from scipy.special import expit
 from vo2_models.hysteresis.limiting_loop import GAMMA
 from vo2_models.numerics.kernel import kernel
 
-__all__ = ["LimitingLoops", "LocalMemory"]
+__all__ = ["FadingLags", "LimitingLoops", "LocalMemory"]
 
 Floats = NDArray[np.float64]
 STEP = 0.03
@@ -160,9 +166,36 @@ def _limiting(temperature, rising, falling, slope, near, saturation, weights, ou
             out[k, 0] = total
 
 
+@kernel(nogil=True)
+def _fading(temperature, lag, way, centre, slope, saturation, weights, out):
+    """Sum (n,) of the elements' fractions along the path, weights (l, m) for l lags; or, with none, every fraction (n, l m)."""
+    m = centre.size
+    behind = np.ones(lag.size)  # as after a long rise
+    last = temperature[0]
+    for k in range(temperature.size):
+        u = temperature[k]
+        if k > 0 and u == last:
+            out[k] = out[k - 1]
+            continue
+        total = 0.0
+        for i in range(lag.size):
+            towards = 1.0 if u > last else -1.0
+            behind[i] = towards + (behind[i] - towards) * np.exp(-abs(u - last) / way[i])
+            level = u - lag[i] * behind[i]
+            for j in range(m):
+                fraction = 0.5 * (1.0 + _tanh(slope[j] * (level - centre[j]), saturation))
+                if weights.size:
+                    total += weights[i, j] * fraction
+                else:
+                    out[k, i * m + j] = fraction
+        if weights.size:
+            out[k, 0] = total
+        last = u
+
+
 @dataclass(frozen=True)
-class LocalMemory:
-    """Elements of Duhem's kind on a grid.
+class _Grid:
+    """Elements on a grid.
 
     Attributes
     ----------
@@ -181,43 +214,76 @@ class LocalMemory:
 
     def features(self, path: Floats) -> Floats:
         """Return the fractions (n, m) along a temperature (n,) [degC] from cold saturation."""
+        raise NotImplementedError
+
+    def total(self, path: Floats, weights: Floats) -> Floats:
+        """Return `features(path) @ weights` (n,) for weights (m,)."""
+        raise NotImplementedError
+
+    def _each(self) -> tuple[Floats, Floats, Floats]:
+        """Centre, half width and scale of every element, (m,) each."""
+        centre, half_width, scale = np.meshgrid(self.centre, self.half_width, self.scale, indexing="ij")
+        return centre.ravel(), half_width.ravel(), scale.ravel()
+
+
+class LocalMemory(_Grid):
+    """Elements of Duhem's kind."""
+
+    def features(self, path: Floats) -> Floats:
         out = np.zeros((path.size, self.size))
         _branches(path, *_tables(self), out)
         return out
 
     def total(self, path: Floats, weights: Floats) -> Floats:
-        """Return `features(path) @ weights` (n,) for weights (m,)."""
         out = np.zeros(path.size)
         _sum(path, *_tables(self), weights, out)
         return out
 
 
-@dataclass(frozen=True)
-class LimitingLoops:
-    """Elements of the limiting-loop kind on a grid; attributes as those of `LocalMemory`."""
+class LimitingLoops(_Grid):
+    """Elements of the limiting-loop kind."""
 
-    centre: tuple[float, ...]
-    half_width: tuple[float, ...]
-    scale: tuple[float, ...]
+    def features(self, path: Floats) -> Floats:
+        return self._run(path, np.empty(0), self.size)
+
+    def total(self, path: Floats, weights: Floats) -> Floats:
+        return np.ascontiguousarray(self._run(path, weights, 1)[:, 0])
+
+    def _run(self, path: Floats, weights: Floats, columns: int) -> Floats:
+        c, r, s = self._each()
+        out = np.empty((path.size, columns))
+        _limiting(path, c + r, c - r, 0.5 / s, *_curves(), weights, out)
+        return out
+
+
+@dataclass(frozen=True)
+class FadingLags(_Grid):
+    """Elements that lag behind by a width that builds up.
+
+    Attributes
+    ----------
+    reach : rho, way over which the lag builds up, in half widths [1]
+    """
+
+    reach: tuple[float, ...] = (1.2, 2.5)
 
     @property
     def size(self) -> int:
         """Number m of elements."""
-        return len(self.centre) * len(self.half_width) * len(self.scale)
+        return len(self.reach) * super().size
 
     def features(self, path: Floats) -> Floats:
-        """Return the fractions (n, m) along a temperature (n,) [degC] from cold saturation."""
         return self._run(path, np.empty(0), self.size)
 
     def total(self, path: Floats, weights: Floats) -> Floats:
-        """Return `features(path) @ weights` (n,) for weights (m,)."""
         return np.ascontiguousarray(self._run(path, weights, 1)[:, 0])
 
     def _run(self, path: Floats, weights: Floats, columns: int) -> Floats:
-        grid = np.meshgrid(self.centre, self.half_width, self.scale, indexing="ij")
-        c, r, s = (a.ravel() for a in grid)
+        lag, way = (a.ravel() for a in np.meshgrid(self.half_width, self.reach, indexing="ij"))
+        centre, scale = (a.ravel() for a in np.meshgrid(self.centre, self.scale, indexing="ij"))
         out = np.empty((path.size, columns))
-        _limiting(path, c + r, c - r, 0.5 / s, *_curves(), weights, out)
+        each = weights.reshape(-1, centre.size)
+        _fading(path, lag, lag * way, centre, 0.5 / scale, _curves()[1], each, out)
         return out
 
 
@@ -233,8 +299,7 @@ def _curves() -> tuple[Floats, Floats]:
 @lru_cache(maxsize=8)
 def _tables(elements: LocalMemory) -> tuple[float, float, Floats, Floats]:
     """Lowest temperature, step, and G_up and F_down on the grid, each (p, m)."""
-    grid = np.meshgrid(elements.centre, elements.half_width, elements.scale, indexing="ij")
-    c, r, s = (a.ravel() for a in grid)
+    c, r, s = elements._each()
     reach = FAR * max(elements.scale)
     low, high = float(np.min(c - r)) - reach, float(np.max(c + r)) + reach
     step = STEP * min(elements.scale)

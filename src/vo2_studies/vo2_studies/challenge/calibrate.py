@@ -1,15 +1,16 @@
-"""Calibrate the probability that a name is wrong by what it leaves, on finished challenges; print its reliability.
+"""Calibrate the probability that an explanation is wrong, on finished challenges; print its reliability.
 
     python -m vo2_studies.challenge.calibrate DIR [DIR ...]
 
-The log odds of a wrong name are linear in the logarithm of the share that functions without a name predict beyond the
-answer, and in the share of the excess that is not explained. Each family of
-concealed hysteresis is predicted by coefficients that were fitted to the others; the last line has those fitted to all.
+Every diagnosis with an explanation counts, whether it was named or not. The log odds of a wrong one are linear in the
+logarithms of how surely its effects act and of what it leaves. Each family of concealed hysteresis is predicted by
+coefficients that were fitted to the others; the last line has those fitted to all.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,62 +21,64 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from vo2_studies.challenge.figures import interval
-from vo2_studies.challenge.judging import judge, named
 from vo2_studies.challenge.runner import load_json
 
-__all__ = ["Named", "calibrated", "features", "left_out", "main", "reliability_of_names"]
+__all__ = ["Explained", "calibrated", "features", "left_out", "main", "read_explained", "reliability"]
 
 Floats = NDArray[np.float64]
-LIMITS = ("else_base", "else_open", "else_left")
-"""Coefficients among the limits of a diagnosis: constant, per decade that is predictable, for what is not explained."""
-PRIOR = ((4.2, 3.0), (3.0, 1.5), (2.0, 2.0))
-"""Mean and standard deviation of each coefficient beforehand: as probable as not at 4 per cent predictable, a thirtieth at
-nothing, e^2 times the odds where nothing is explained. Some tens of names with few wrong ones tell little more."""
+LIMITS = ("else_base", "else_sure", "else_left")
+"""Coefficients among the limits of a diagnosis: constant, per decade of certainty, per decade of what is left."""
+PRIOR = ((4.0, 3.0), (3.0, 1.5), (2.0, 1.5))
+"""Mean and standard deviation of each coefficient beforehand: as probable as not at 20 standard deviations where nothing is
+left, ten times the odds or more for a decade of either."""
 EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)
 """Bins of the probability that a name is right."""
 
 
 @dataclass(frozen=True)
-class Named:
-    """A diagnosis that names.
+class Explained:
+    """A diagnosis with an explanation.
 
     Attributes
     ----------
     family : of the concealed hysteresis
-    explained, predictable : what the name explains and leaves, as in the diagnosis
-    right : whether every name is right
+    sure, left : decades of how surely it acts and of what it leaves, as the diagnosis counts them
+    right : whether all its effects were concealed, in this form or a sibling's
     in_use : coefficients that the diagnosis had
     """
 
     family: str
-    explained: float
-    predictable: float
+    sure: float
+    left: float
     right: bool
     in_use: tuple[float, ...] = ()
 
 
-def read_named(folder: Path) -> list[Named]:
-    """Return the cases of a challenge's folder whose diagnosis names something."""
+def read_explained(folder: Path) -> list[Explained]:
+    """Return the cases of a challenge's folder whose diagnosis has an explanation."""
     found = []
     for file in sorted((folder / "results").glob("*.json")):
         answer, result = load_json(folder / "answers" / file.name), load_json(file)
         diagnosis: Mapping | None = result["diagnosis"]
-        if diagnosis is None or not named(diagnosis) or not diagnosis.get("adequacy"):
+        if diagnosis is None or not diagnosis.get("adequacy") or "sigmas" not in diagnosis["adequacy"]:
             continue
-        shares = diagnosis["adequacy"]
-        right = not judge(answer, result).wrong
-        limits = diagnosis["decision_limits"]
-        in_use = tuple(float(limits[name]["value"]) for name in LIMITS)
-        found.append(Named(answer["family"], shares["explained"], shares["predictable"], right, in_use))
+        adequacy = diagnosis["adequacy"]
+        limits = {name: float(limit["value"]) for name, limit in diagnosis["decision_limits"].items()}
+        concealed = {name for e in answer["effects"] for name in (e["id"], *e["siblings"])}
+        right = set(adequacy["of"]) <= concealed
+        in_use = tuple(limits[name] for name in LIMITS)
+        sure = math.log10(min(max(adequacy["sigmas"], 1.0), limits["surest"]))
+        left = math.log10(1.0 + adequacy["left"] / limits["least"])
+        found.append(Explained(answer["family"], sure, left, right, in_use))
     return found
 
 
-def features(cases: Sequence[Named]) -> Floats:
-    """Return what the log odds are linear in, (n, 3)."""
-    return np.array([[1.0, np.log10(c.predictable + 0.003), 1.0 - c.explained] for c in cases])
+def features(cases: Sequence[Explained]) -> Floats:
+    """Return what the log odds of a wrong explanation are linear in, (n, 3)."""
+    return np.array([[1.0, -c.sure, c.left] for c in cases])
 
 
-def calibrated(cases: Sequence[Named]) -> Floats:
+def calibrated(cases: Sequence[Explained]) -> Floats:
     """Return the coefficients (3,) of highest posterior density, the prior being `PRIOR`."""
     x, wrong = features(cases), np.array([not c.right for c in cases], dtype=float)
     mean, spread = np.array(PRIOR).T
@@ -88,7 +91,7 @@ def calibrated(cases: Sequence[Named]) -> Floats:
     return np.asarray(minimize(cost, mean).x)
 
 
-def left_out(cases: Sequence[Named]) -> Floats:
+def left_out(cases: Sequence[Explained]) -> Floats:
     """Return for every case the probability (n,) that it is right, by coefficients fitted to the other families."""
     out = np.empty(len(cases))
     for family in sorted({c.family for c in cases}):
@@ -100,7 +103,7 @@ def left_out(cases: Sequence[Named]) -> Floats:
     return out
 
 
-def reliability_of_names(probability: Floats, right: Sequence[bool]) -> list[str]:
+def reliability(probability: Floats, right: Sequence[bool]) -> list[str]:
     """Return one line for each bin: stated range, count, mean stated, share that is right, 95 % interval."""
     truth = np.asarray(right, dtype=bool)
     place = np.clip(np.searchsorted(EDGES, probability, side="right") - 1, 0, len(EDGES) - 2)
@@ -116,23 +119,25 @@ def reliability_of_names(probability: Floats, right: Sequence[bool]) -> list[str
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; return 0, or 2 where no case names anything."""
+    """Run the command line; return 0, or 2 where no case has an explanation."""
     parser = argparse.ArgumentParser(
         prog="python -m vo2_studies.challenge.calibrate",
-        description="Calibrate the probability of a wrong name on finished challenges, a family of hysteresis left out in turn.",
+        description="Calibrate the probability of a wrong explanation on finished challenges, a family left out in turn.",
     )
     parser.add_argument("folders", type=Path, nargs="+", help="output folders of challenge")
     folders = parser.parse_args(argv).folders
-    cases = [case for folder in folders for case in read_named(folder)]
+    cases = [case for folder in folders for case in read_explained(folder)]
     if not cases:
         print(
-            f"calibrate: {', '.join(map(str, folders))}: found no named case, need output folders of challenge",
+            f"calibrate: {', '.join(map(str, folders))}: found no case with an explanation, need output folders of challenge",
             file=sys.stderr,
         )
         return 2
     right = [c.right for c in cases]
-    print(f"{len(cases)} cases with a name, {sum(right)} right; each family by coefficients of the others:")
-    print("\n".join(reliability_of_names(left_out(cases), right)))
+    print(
+        f"{len(cases)} cases with an explanation, {sum(right)} right; each family by coefficients of the others:"
+    )
+    print("\n".join(reliability(left_out(cases), right)))
     print(f"fitted to all: {', '.join(f'{c:.2f}' for c in calibrated(cases))}")
     for present in sorted({c.in_use for c in cases}):
         print(f"in use:        {', '.join(f'{c:.2f}' for c in present)}")

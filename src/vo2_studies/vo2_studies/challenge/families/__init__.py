@@ -2,7 +2,8 @@
 
 `plays` and `clusters` are independent domains, `interacting` domains in the mean field, `proximity` the limiting-loop
 proximity model, `jiles_atherton` a differential law with rate-dependent coercivity, `duhem` one whose only memory is
-its fraction, `bouc_wen` one whose transition lags behind the temperature, `accommodating` domains that mix as they switch.
+its fraction, `bouc_wen` one whose transition lags behind the temperature, `accommodating` domains that mix as they
+switch, `avalanches` grains that help their neighbours over.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from vo2_studies.challenge.families import (
     accommodating,
+    avalanches,
     bouc_wen,
     domains,
     duhem,
@@ -35,6 +37,7 @@ FAMILIES: dict[str, Draw] = {
     "duhem": duhem.draw,
     "bouc_wen": bouc_wen.draw,
     "accommodating": accommodating.draw,
+    "avalanches": avalanches.draw,
 }
 ALL = "all"
 
