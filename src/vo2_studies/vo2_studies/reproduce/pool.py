@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -108,12 +109,16 @@ def _several(work: Callable[[Job], Found], jobs: Sequence[Job]) -> list[Found]:
 
 @contextmanager
 def interrupt_is_ours() -> Iterator[None]:
-    """Processes started inside ignore Ctrl-C: this process ends them, without one traceback from each."""
+    """Processes started inside do not see Ctrl-C: this process ends them, without one traceback from each.
+
+    One that is pressed meanwhile is not lost, as it would be if it were ignored here: it waits, or comes by another thread.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    resource_tracker.ensure_running()  # to start it within would let Ctrl-C through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
