@@ -72,8 +72,8 @@ class Limits:
     )
     else_base: float = _limit(
         3.06,
-        "log odds that an explanation is wrong: constant; fitted as in `challenge.calibrate` to the best explanations of 170 "
-        "recordings of seven families, named or not: 68 right, a sibling's form among them, and 46 wrong",
+        "log odds that an explanation is wrong: constant; fitted as in `challenge.calibrate` to the best explanations of 160 "
+        "recordings of seven families by two versions, named or not: 68 right, a sibling's form among them, and 46 wrong",
     )
     else_sure: float = _limit(
         3.3, "the same, less for each decade of standard deviations by which its effects act"

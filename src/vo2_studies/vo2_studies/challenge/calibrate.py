@@ -60,9 +60,9 @@ def read_explained(folder: Path) -> list[Explained]:
     for file in sorted((folder / "results").glob("*.json")):
         answer, result = load_json(folder / "answers" / file.name), load_json(file)
         diagnosis: Mapping | None = result["diagnosis"]
-        if diagnosis is None or not diagnosis.get("adequacy") or "sigmas" not in diagnosis["adequacy"]:
-            continue
-        adequacy = diagnosis["adequacy"]
+        adequacy = diagnosis.get("adequacy") or {} if diagnosis else {}
+        if diagnosis is None or not {"of", "sigmas", "left"} <= adequacy.keys():
+            continue  # none, one that the values show by themselves, or of an older version
         limits = {name: float(limit["value"]) for name, limit in diagnosis["decision_limits"].items()}
         concealed = {name for e in answer["effects"] for name in (e["id"], *e["siblings"])}
         right = set(adequacy["of"]) <= concealed

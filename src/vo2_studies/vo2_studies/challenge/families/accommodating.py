@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vo2_models.numerics.kernel import kernel
 
 from vo2_studies.challenge.families.domains import draw_grains
-from vo2_studies.challenge.families.law import Film, Statistics, implement, widened
+from vo2_studies.challenge.families.law import Film, Statistics, implement, pushed, widen_thresholds
 
 __all__ = ["Accommodating", "draw"]
 
@@ -43,20 +43,14 @@ def _move(law, memory, level):
     before = memory[0]
     switched = 0.0
     for k in range(law.weight.size):
-        q = memory[HEAD + k]
-        # a ramp about each threshold: pushed up to it from below, down to it from above
-        least = min(max((level - law.up[k]) / (2.0 * SOFT) + 0.5, 0.0), 1.0)
-        most = min(max((level - law.down[k]) / (2.0 * SOFT) + 0.5, 0.0), 1.0)
-        q = min(max(q, least), most)
+        q = pushed(memory[HEAD + k], level, law.up[k], law.down[k], SOFT)
         memory[HEAD + k] = q
         switched += law.weight[k] * q
     mixed = 1.0 - np.exp(-law.rate[0] * abs(switched - before))
     fraction = 0.0
     for k in range(law.weight.size):
-        least = min(max((level - law.up[k]) / (2.0 * SOFT) + 0.5, 0.0), 1.0)
-        most = min(max((level - law.down[k]) / (2.0 * SOFT) + 0.5, 0.0), 1.0)
         q = memory[HEAD + k]
-        q = min(max(q + mixed * (switched - q), least), most)
+        q = pushed(q + mixed * (switched - q), level, law.up[k], law.down[k], SOFT)
         memory[HEAD + k] = q
         fraction += law.weight[k] * q
     memory[0] = fraction
@@ -73,12 +67,7 @@ def _advance(law, memory, level, step):
     return _move(law, memory, level)
 
 
-def _widen(law: Accommodating, width: float) -> Accommodating:
-    up, down = widened(law.up, law.down, width)
-    return law._replace(up=up, down=down)
-
-
-implement(Accommodating, settle=_settle, advance=_advance, widen=_widen)
+implement(Accommodating, settle=_settle, advance=_advance, widen=widen_thresholds)
 
 
 def draw(rng: np.random.Generator, film: Statistics, misfit: float) -> Film:

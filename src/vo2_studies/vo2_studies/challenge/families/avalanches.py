@@ -16,7 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 from vo2_models.numerics.kernel import kernel
 
-from vo2_studies.challenge.families.law import Film, Statistics, draw_both, implement, widened
+from vo2_studies.challenge.families.law import (
+    Film,
+    Statistics,
+    draw_both,
+    implement,
+    pushed,
+    widen_thresholds,
+    widened,
+)
 
 __all__ = ["Avalanches", "draw"]
 
@@ -52,10 +60,7 @@ def _move(law, memory, level):
             left, right = row * SIDE + (column - 1) % SIDE, row * SIDE + (column + 1) % SIDE
             near = memory[HEAD + above] + memory[HEAD + below] + memory[HEAD + left] + memory[HEAD + right]
             seen = level + law.coupling[0] * (0.25 * near - 0.5)
-            # a ramp about each threshold: pushed up to it from below, down to it from above
-            least = min(max((seen - law.up[k]) / (2.0 * SOFT) + 0.5, 0.0), 1.0)
-            most = min(max((seen - law.down[k]) / (2.0 * SOFT) + 0.5, 0.0), 1.0)
-            q = min(max(memory[HEAD + k], least), most)
+            q = pushed(memory[HEAD + k], seen, law.up[k], law.down[k], SOFT)
             changed += abs(q - memory[HEAD + k])
             memory[HEAD + k] = q
             total += q
@@ -75,12 +80,7 @@ def _advance(law, memory, level, step):
     return _move(law, memory, level)
 
 
-def _widen(law: Avalanches, width: float) -> Avalanches:
-    up, down = widened(law.up, law.down, width)
-    return law._replace(up=up, down=down)
-
-
-implement(Avalanches, settle=_settle, advance=_advance, widen=_widen)
+implement(Avalanches, settle=_settle, advance=_advance, widen=widen_thresholds)
 
 
 def draw(rng: np.random.Generator, film: Statistics, misfit: float) -> Film:

@@ -33,9 +33,11 @@ __all__ = [
     "implement",
     "logistic_volumes",
     "major_loop",
+    "pushed",
     "settle",
     "trace",
     "widen",
+    "widen_thresholds",
     "widened",
 ]
 
@@ -95,6 +97,23 @@ def widened(up: Array, down: Array, width: float) -> tuple[Array, Array]:
     """Return thresholds of heating and cooling (n,) [degC] further apart by `width` [K] about the same middles, in order."""
     middle, wide = (up + down) / 2, np.maximum(up - down + width, 0.1)
     return middle + wide / 2, middle - wide / 2
+
+
+def widen_thresholds(law: Any, width: float) -> Any:
+    """`widen` of a law whose parameters are `up` and `down`, thresholds of each part (n,) [degC]."""
+    up, down = widened(law.up, law.down, width)
+    return law._replace(up=up, down=down)
+
+
+@kernel
+def pushed(q, level, up, down, soft):
+    """State q [1] of a part after it is pushed up to a ramp about `up` from below, down to one about `down` from above.
+
+    Ramps reach from 0 to 1 within `soft` [K] on both sides of a threshold [degC].
+    """
+    least = min(max((level - up) / (2.0 * soft) + 0.5, 0.0), 1.0)
+    most = min(max((level - down) / (2.0 * soft) + 0.5, 0.0), 1.0)
+    return min(max(q, least), most)
 
 
 def settle(law, level):
