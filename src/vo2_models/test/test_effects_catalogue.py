@@ -471,6 +471,51 @@ def test_a_loop_width_difference_moves_the_branches_apart_by_half_of_it_each(dif
     assert crossing(run, down) - crossing(base, down) == pytest.approx(-difference / 2, abs=0.12)
 
 
+@pytest.mark.parametrize("exponent", [0.2, 0.6, 1.0])
+def test_a_rate_dependent_width_follows_its_equation(exponent):
+    advance, excess, body = effect("rate_dependent_width").hooks["advance"], 0.8, 0.01
+    times = np.arange(1, 4001) * 2e-4
+
+    def film(t):
+        return 60.0 + 5.0 * np.sin(2 * np.pi * t / 0.4)
+
+    def equation(t, x):
+        behind = film(t) - x
+        return np.sign(behind) * (np.abs(behind) / excess) ** (1 / exponent) / body
+
+    expected = solve_ivp(equation, (0, times[-1]), [60.0], "Radau", times, rtol=1e-8, atol=1e-10).y[0]
+    seen, found = 60.0, []
+    for warm in film(times):
+        seen = advance(warm, 2e-4, seen, excess, exponent, body)
+        found.append(seen)
+    assert np.max(np.abs(np.array(found) - expected)) < 0.03 * excess
+    for rate in (0.1, 1e4):  # K/s; a steady lag is exact for any step
+        seen = 0.0
+        for k in range(1, 3001):
+            seen = advance(rate * k, 1.0, seen, excess, exponent, body)
+        assert rate * 3000 - seen == pytest.approx(excess * (rate * body) ** exponent, rel=1e-6)
+
+
+def test_a_rate_dependent_width_opens_the_loop_by_as_much_on_both_branches():
+    def width(samples, **values):
+        ramp = np.linspace(3.4e-3, 8.6e-3, samples)
+        found = _pair("rate_dependent_width", "integrated", np.r_[ramp, ramp[::-1]], **values)
+        crossings = []
+        for run in found:
+            d, t = run["true_tip_deflection"], run["true_temperature"]
+            crossings.append(
+                [
+                    np.interp(30e-6, d[:samples], t[:samples]),
+                    np.interp(30e-6, d[: samples - 1 : -1], t[: samples - 1 : -1]),
+                ]
+            )
+        return np.diff(crossings, axis=0)[0]
+
+    slow, fast = (width(samples, excess=0.8, exponent=0.25) for samples in (4000, 400))
+    assert slow[0] == pytest.approx(-slow[1], rel=0.1)
+    assert fast[0] / slow[0] == pytest.approx(10**0.25, rel=0.05)
+
+
 def test_new_terms_follow_their_equations():
     hot = np.full(60, 8.2e-3)
     base, run = _pair("thermovoltage", "integrated", hot, coefficient=20.0)

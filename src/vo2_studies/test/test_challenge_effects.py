@@ -26,7 +26,7 @@ D_ONLY |= {"log_creep", "backlash", "stiffening", "sensor_ripple", "loop_width_d
 R_ONLY = {"series_resistance", "leakage_resistance", "current_crosstalk"}
 R_ONLY |= {"thermovoltage", "contact_drift"}
 NOT_STAGE = {"transition_kinetics", "minor_loop_incongruency", "training_drift", "slow_relaxation"}
-NOT_STAGE |= {"non_hysteretic_branches", "laser_heating"}
+NOT_STAGE |= {"non_hysteretic_branches", "laser_heating", "rate_dependent_width"}
 EVERY = [(effect, preset) for effect in CATALOGUE for preset in effect.presets]
 
 
@@ -61,7 +61,7 @@ def expected_channels(effect, signal, preset):
 
 def test_catalogue_is_the_contracts():
     assert set(IDS) <= set(effect_ids())
-    assert len(IDS) == 42
+    assert len(IDS) == 43
     assert OUTSIDE not in effect_ids()
     assert presets_of("peltier_joule_heating") == ("peltier",)
     with pytest.raises(ValueError, match="effect"):

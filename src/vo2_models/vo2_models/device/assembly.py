@@ -8,10 +8,9 @@ stage, parameters and states of the effect, constants of the device. `vo2_models
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,8 +55,9 @@ class Plan:
     every_step: NDArray[np.bool_]
 
 
-def _takes(function: Callable[..., Any]) -> tuple[str, ...]:
-    return tuple(inspect.signature(function).parameters)
+def _takes(record: Effect, hook: str) -> tuple[str, ...]:
+    """What a hook of an effect names as its arguments; empty where it does not have the hook."""
+    return tuple(inspect.signature(record.hooks[hook]).parameters) if hook in record.hooks else ()
 
 
 @cache
@@ -70,14 +70,11 @@ def plan() -> Plan:
     every = np.zeros(len(keys), dtype=bool)
     for k, record in enumerate(records):
         own = {state.name for state in record.states}
-        warmed_by_film = any(
-            "resistance" in _takes(record.hooks[h]) for h in ("heating", "film") if h in record.hooks
-        )
+        warmed_by_film = any("resistance" in _takes(record, h) for h in ("heating", "film"))
         for f, name in enumerate(FLAGS):
             flags[f, k] = name in record.hooks
         flags[FLAGS.index("resistance"), k] = warmed_by_film
-        if "beside" in record.hooks:
-            flags[FLAGS.index("middle"), k] = "middle" in _takes(record.hooks["beside"])
+        flags[FLAGS.index("middle"), k] = "middle" in _takes(record, "beside")
         if "advance" in record.hooks and record.stage in ("thermal", "transition"):
             flags[FLAGS.index(f"advance:{record.stage}"), k] = True
         for name, parts in (("any:heat", _HEATED), ("any:film", _SHIFTED)):
@@ -86,10 +83,8 @@ def plan() -> Plan:
         every[k] = (
             warmed_by_film
             or any(h in record.hooks for h in ("latent", "feedback", "follow", "beside", "conductance"))
-            or (
-                "structural_shift" in record.hooks
-                and bool(own & set(_takes(record.hooks["structural_shift"])))
-            )
+            or "film" in _takes(record, "shift")
+            or not own.isdisjoint(_takes(record, "structural_shift"))
         )
     active = np.array([blocks()[key].active for key in keys], dtype=np.intp)
     return Plan(keys, active, flags, feedback, every)
@@ -134,7 +129,7 @@ def _value(record: Effect, block: Block, name: str, quantities: Mapping[str, str
 
 
 def _call(record: Effect, block: Block, hook: str, quantities: Mapping[str, str]) -> str:
-    arguments = (_value(record, block, name, quantities) for name in _takes(record.hooks[hook]))
+    arguments = (_value(record, block, name, quantities) for name in _takes(record, hook))
     return f"{_name(record, hook)}({', '.join(arguments)})"
 
 
@@ -194,7 +189,7 @@ def _sum(hook: str, *, start: str = "0.0") -> list[str]:
         quantities = {
             "fraction": f"(x[{int(Slot.FRACTION_R)} + WHICH] + 0.5 * x[{int(Slot.LAST_CHANGE_R)} + WHICH])"
         }
-    if hook == "structural_shift":
+    if hook in ("shift", "structural_shift"):
         names, quantities = [], {"film": f"x[{int(Slot.FILM)}]"}
     lines = [*_guarded(hook, names, hook, start), f"    total = {start}"]
     for record, block in _with_hook(hook):

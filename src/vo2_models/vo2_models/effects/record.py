@@ -101,7 +101,7 @@ HOOKS: dict[str, Hook] = {
         substeps=True,
     ),
     "film": Hook("thermal", {"resistance": "ohm", "time": "s"}, "kelvins of the film above its body"),
-    "shift": Hook("transition", {}, "kelvins added to what both transitions see"),
+    "shift": Hook("transition", {"film": "degC"}, "kelvins added to what both transitions see"),
     "structural_shift": Hook(
         "transition", {"film": "degC"}, "kelvins added to what the structural transition sees"
     ),

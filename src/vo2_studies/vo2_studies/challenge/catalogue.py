@@ -39,7 +39,7 @@ _FAMILIES: dict[str, tuple[str, ...]] = {
     ),
     "transition": (
         *("transition_kinetics", "minor_loop_incongruency", "training_drift", "slow_relaxation"),
-        *("non_hysteretic_branches", "transition_offset", "loop_width_difference"),
+        *("non_hysteretic_branches", "transition_offset", "loop_width_difference", "rate_dependent_width"),
     ),
     "film": (
         *("series_resistance", "leakage_resistance", "current_crosstalk", "thermovoltage", "contact_drift"),

@@ -40,6 +40,7 @@ class Terms(NamedTuple):
     training : shift of the thresholds per reversal [K]
     structure_offset : the structural transition sees T + this [K]
     feedback : the grains see T + kappa (s - 1/2), kappa [K]
+    overdrive, overdrive_rate : grains switch behind T by overdrive ln(1 + |dT/dt| / overdrive_rate) [K], [K/s]
     """
 
     cooling_ratio: float = 1.0
@@ -57,6 +58,8 @@ class Terms(NamedTuple):
     training: float = 0.0
     structure_offset: float = 0.0
     feedback: float = 0.0
+    overdrive: float = 0.0
+    overdrive_rate: float = 1.0
 
 
 @kernel
@@ -85,6 +88,7 @@ def _core(
     memory_s = settle(law_s, start)
     slow_m, slow_s = memory_m[0], memory_s[0]
     t1, t2, owed = start, 0.0, 0.0
+    last, behind = start, 0.0
     extremum, direction, reversals = start, 1.0, 0.0
     kinetic = terms.kinetic_time > 0
     keep = np.exp(-step / terms.kinetic_time) if kinetic else 0.0
@@ -108,7 +112,7 @@ def _core(
         if terms.slow_gain != 0.0:
             fade = np.exp(-step / terms.slow_time)
             t2 = fade * t2 + (1 - fade) * terms.slow_gain * power
-        common = t2 + local[k] + pull[k] - terms.training * reversals
+        common = t2 + local[k] + pull[k] - terms.training * reversals - behind
         shift_m = common + feedback * (slow_m - 0.5)
         # Runge-Kutta does not see the film stop the temperature within a step: shorter ones with latent heat
         inner = 4 if terms.latent != 0.0 and not kinetic else 1
@@ -134,6 +138,12 @@ def _core(
         else:
             slow_m, slow_s = memory_m[0], memory_s[0]
         total = t1 + t2
+        if terms.overdrive != 0.0:
+            # what they see waits at a reversal until the temperature has come past it by the overdrive
+            behind += total - last
+            most = terms.overdrive * np.log(1 + abs(total - last) / step / terms.overdrive_rate)
+            behind = min(behind, most) if total >= last else max(behind, -most)
+            last = total
         turned = (extremum - total) * direction
         if turned < 0:
             extremum = total

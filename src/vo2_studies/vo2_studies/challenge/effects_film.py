@@ -260,6 +260,17 @@ EFFECTS = (
         _apply_widening,
         {"width": 0.0},
     ),
+    # Sharrock, J. Appl. Phys. 76, 6413, 1994: the coercivity grows with the logarithm of the rate.
+    ConcealedEffect(
+        "rate_dependent_width",
+        ANY,
+        lambda c: {
+            "per_e_fold": (log_uniform(c.rng, 0.02, 0.4), "K"),
+            "onset": (log_uniform(c.rng, 0.1, 3.0) / c.preset.time_constant, "K/s"),
+        },
+        _terms(overdrive="per_e_fold", overdrive_rate="onset"),
+        {"per_e_fold": 0.0},
+    ),
     # Akin to amorphous films and piezoceramics: strain grows with the logarithm of the time since each step.
     ConcealedEffect(
         "log_creep",

@@ -113,6 +113,7 @@ QUANTITIES: dict[str, tuple[Quantity, ...]] = {
     "non_hysteretic_branches": (
         Quantity("reversible_share", ("share", "reversible_share", "c", "fraction"), "1"),
     ),
+    "rate_dependent_width": (),  # a logarithm of the rate here, a power there
     "loop_width_difference": (Quantity("width", ("width", "difference", "delta", "widening"), "K"),),
     "substrate_diffusion": (
         Quantity("gain", ("gain", "g", "share"), "1"),
