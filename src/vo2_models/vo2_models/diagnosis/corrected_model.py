@@ -77,7 +77,7 @@ def stand_in(study: Study) -> StandIn | None:
         ]
     alone = min((o for o in options if len(o.chosen.keys) == 1), key=_left, default=None)
     if alone is not None and all(len(o.chosen.keys) == 1 for o in options):
-        anything = replace(study.limits, second=0.1, second_of_all=0.0, second_cosine=1.0)
+        anything = replace(study.limits, second_cosine=1.0)
         pair = pair_of(located.nominal, problem, alone, found.candidates, anything)
         options += [pair] if pair else []
     folds = block_folds(problem)

@@ -132,12 +132,14 @@ def without_a_name(
 def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limits, clock: Clock) -> _Verdict:
     """The first admissible option, with its held-out quality."""
     problem = located.problem
-    rivals, remaining, adequacy = found.singles, located.total_excess, None
+    rivals, remaining = found.singles, located.total_excess
+    judgements: list[Adequacy] = []
     shown = 0.0
     for option in found.options:
         judged = held_out(option.final, option.chosen, reference=problem, folds=folds, tick=clock.tick)
         shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
-        adequacy = adequacy_of(option, limits)
+        adequacy = adequacy_of(option, located.left_out, limits)
+        judgements.append(adequacy)
         shown = max(shown, adequacy.share, judged.share)
         admissible = _is_admissible(option, judged, adequacy, limits)
         if located.own_misfit:
@@ -146,7 +148,8 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
         hidden = admissible and found.hidden
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
             return _Verdict(option, judged, rivals, remaining, adequacy, shown)
-    return _Verdict(None, held_out(problem, None, folds=folds), rivals, remaining, adequacy, shown)
+    likeliest = min(judgements, key=lambda one: one.something_else(limits), default=None)
+    return _Verdict(None, held_out(problem, None, folds=folds), rivals, remaining, likeliest, shown)
 
 
 def _named(

@@ -29,8 +29,8 @@ PARTNERS = 5
 """Effects that are refitted beside another, the most promising ones."""
 BRIEF_BESIDE = 2
 """Iterations after which a refit beside another effect shows whether it is worth going on."""
-HOPELESS = 0.5
-"""Share of what makes a second effect count below which no exchange is tried."""
+HOPELESS = 0.25
+"""Share of what the first leaves over that the best second must explain, for exchanges to be tried."""
 EXCHANGES = 3
 """So often one of the two is tried anew beside the other."""
 NEARLY = 0.25
@@ -146,8 +146,8 @@ def pair_of(
 ) -> Option | None:
     """Look for two effects that explain more than the first alone; None if no other is worth it.
 
-    What an equation that is not quite right leaves over resembles what it explains: a second effect must
-    explain most of what is left, and must not act like the first, unless it leaves next to nothing.
+    What an equation that is not quite right leaves over resembles what it explains: a second effect that acts like the
+    first must gain more than such an equation can leave. How likely it is that the two are wrong is judged with the options.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def pair_of(
     found = [(about, joint) for joint in _joined(about, first, candidates, limits, tick)]
     if not found:
         return None
-    if before - found[0][1].chi_square < HOPELESS * limits.second * (before - about.count):
+    if before - found[0][1].chi_square < HOPELESS * (before - about.count):
         return None
     waiting = _untried([joint for _, joint in found], about.count, limits)
     tried = {first.keys[0]}
@@ -184,13 +184,10 @@ def pair_of(
         waiting |= _untried(fresh, about.count, limits)
     found.sort(key=lambda item: item[1].chi_square)
     where, best = _simplest(found, limits)
-    drop, leftover = before - best.chi_square, before - about.count
-    least = min(limits.least_gain(evident=h.evident) for h in best.hypotheses)
-    if drop < max(least, limits.second * leftover):
+    drop = before - best.chi_square
+    if drop < min(limits.least_gain(evident=h.evident) for h in best.hypotheses):
         return None
-    thorough = leftover > limits.gain and drop > limits.thorough * leftover
-    small = drop < limits.second_of_all * _excess_there(problem, where, best)
-    if not thorough and (small or _cosine(where, best) > limits.second_cosine):
+    if drop < limits.second * max(first.gain, 0.0) and _cosine(where, best) > limits.second_cosine:
         return None
     rivals = {frozenset(joint.keys): joint for _, joint in reversed(found)}
     ranked = sorted(rivals.values(), key=lambda e: e.chi_square)
@@ -255,19 +252,6 @@ def _simplest(
     close = lowest + limits.rival + limits.tie * max(lowest - found[0][0].count, 0.0)
     near = [(about, joint) for about, joint in found if joint.chi_square <= close]
     return min(near, key=lambda item: (len(item[1].coordinates), item[1].chi_square))
-
-
-def _excess_there(problem: LinearisedProblem, about: LinearisedProblem, joint: Explanation) -> float:
-    """Excess energy where the last effect acts: that of each channel, by its share of what the effect does."""
-    left = problem.apply_inverse_covariance(problem.residual)
-    new = about.deviation(joint.hypotheses[-1].effects(joint.values[-1]))
-    total = max(float(new @ new), 1e-300)
-    found = 0.0
-    for channel in dict.fromkeys(row.channel for row in problem.rows):
-        own = problem.rows_of(channel)
-        excess = float(problem.residual[own] @ left[own]) - np.count_nonzero(problem.weight[own])
-        found += max(excess, 0.0) * float(new[own] @ new[own]) / total
-    return found
 
 
 def _least(one: Score, scores: Sequence[Score], limits: Limits) -> float:

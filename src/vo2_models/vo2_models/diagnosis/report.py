@@ -82,7 +82,12 @@ def _adequacy(study: Study) -> dict[str, float | list[str]]:
     if found is None:
         return {}
     ids = [key.partition(":")[0] for key in found.keys]
-    told: dict[str, float | list[str]] = {"of": ids, "explained": found.share, "left": found.left}
+    told: dict[str, float | list[str]] = {
+        "of": ids,
+        "explained": found.share,
+        "left": found.left,
+        "misfit": found.misfit,
+    }
     return told | ({"sigmas": found.sigmas} if np.isfinite(found.sigmas) else {})
 
 

@@ -25,7 +25,7 @@ __all__ = ["Search", "cost", "search"]
 SHORTLIST = 6
 """Hypotheses that are refitted in full."""
 RELINEARISED = 3
-"""Explanations that are linearised about themselves, where constants may stand for them."""
+"""Explanations that are linearised about themselves, where constants may stand for them or another effect is as good."""
 
 
 @dataclass(frozen=True)
@@ -218,6 +218,13 @@ def _options(
         return []
     clock.say("linearising about the explanation")
     alone = option_of(located.nominal, problem, first, singles, tick=clock.tick)
+    # a gain that holds only where the simulation is linear is gone there: then another effect may be ahead
+    for other in [e for e in singles if e is not first and not e.at_bound][: RELINEARISED - 1]:
+        if other.gain <= alone.chosen.gain:
+            break
+        again = option_of(located.nominal, problem, other, singles, tick=clock.tick)
+        if cost(again.chosen, problem, limits) < cost(alone.chosen, problem, limits):
+            alone = again
     alone = _in_one_switch(located, alone, limits, clock)
     clock.say("looking for a second effect")
     pair = pair_of(located.nominal, problem, alone, candidates, limits, tick=clock.tick)
