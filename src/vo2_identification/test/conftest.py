@@ -1,5 +1,23 @@
 """What all tests of this package need."""
 
+import threading
+
+import pytest
+from tqdm import TMonitor
 from vo2_interface.testing import hear_ctrl_c
 
 hear_ctrl_c()
+
+
+@pytest.fixture(autouse=True)
+def no_thread_works_on():
+    """Fail a test that leaves a thread at work, beside the tests that follow.
+
+    Where one of these stops `tracemalloc` while the thread allocates, Python 3.11 can die of SIGSEGV (python/cpython#128679).
+    """
+    before = set(threading.enumerate())
+    yield
+    left = [each for each in threading.enumerate() if each not in before and not isinstance(each, TMonitor)]
+    for thread in left:
+        thread.join(timeout=5.0)
+    assert not [thread.name for thread in left if thread.is_alive()]

@@ -204,7 +204,7 @@ def test_a_recording_that_cannot_be_diagnosed_is_told_with_the_reason():
     with bench(
         arguments(excitation__kind="listen", fit="false", quiet_s="0.3", model__device="integrated")
     ) as rig:
-        listened(rig, played(np.full(20, 5e-3), 1))
+        node = listened(rig, played(np.full(20, 5e-3), 1))
         answer = trigger(rig, "diagnose")
         assert answer.success
         assert "20 samples" in answer.message
@@ -212,6 +212,7 @@ def test_a_recording_that_cannot_be_diagnosed_is_told_with_the_reason():
         assert "cannot be diagnosed" in diagnosis(rig)[0]
         # and the next one may be tried
         assert trigger(rig, "diagnose").success
+        rig.until(lambda: node._diagnosis is None, timeout_s=60.0)
 
 
 @pytest.fixture(scope="module")
@@ -248,6 +249,9 @@ def test_a_running_diagnosis_can_be_cancelled_and_started_again(model_file):
         assert job.answer is None
         assert not trigger(rig, "cancel").success
         assert trigger(rig, "diagnose").success
+        job = node._diagnosis
+        assert trigger(rig, "cancel").success
+        rig.until(lambda: not job.running, timeout_s=120.0)
 
 
 @pytest.mark.slow

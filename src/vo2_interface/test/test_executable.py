@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 
@@ -32,6 +33,30 @@ def test_a_process_that_cannot_leave_is_ended_and_says_where_it_hung():
     assert "Timeout" in done.stderr
     assert "destroy_node" in done.stderr
     assert "left" not in done.stdout
+
+
+CRASH = """
+import ctypes
+
+from vo2_interface.testing import bench
+
+
+def test_that_crashes():
+    with bench():
+        ctypes.string_at(0)
+"""
+
+
+def test_a_crash_under_pytest_names_the_test_and_shows_the_stacks(tmp_path):
+    (tmp_path / "test_crash.py").write_text(CRASH)
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-v", "-p", "no:cacheprovider", tmp_path / "test_crash.py"],
+        capture_output=True, text=True, timeout=50, check=False,
+    )  # fmt: skip
+    assert done.returncode == -signal.SIGSEGV
+    assert done.stdout.rstrip().endswith("test_crash.py::test_that_crashes")
+    assert "Segmentation fault" in done.stderr
+    assert "in test_that_crashes" in done.stderr
 
 
 def test_test_runs_beside_each_other_have_domains_of_their_own():

@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from types import FrameType
+from types import FrameType, SimpleNamespace
 from typing import Any, Protocol
 
 import rclpy
@@ -171,9 +171,12 @@ def fastest_executor(context: rclpy.Context | None = None) -> Executor:
     context : of the nodes, None for the default one
     """
     try:
-        from rclpy.experimental import EventsExecutor
+        from rclpy.experimental import EventsExecutor, events_executor
     except ImportError:
         return SingleThreadedExecutor(context=context)
+    if faulthandler.is_enabled():
+        # every new executor would send the stacks of a crash to sys.stderr instead, which pytest captures and loses
+        setattr(events_executor, "faulthandler", SimpleNamespace(enable=lambda: None))  # noqa: B010  # not declared
     return EventsExecutor(context=context)
 
 
