@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from vo2_models.device.description import described, preset
 from vo2_models.diagnosis import report
 from vo2_models.diagnosis.families import BY_DEPENDENCE, family_of_unnamed
@@ -95,6 +96,19 @@ def test_a_name_must_be_more_likely_than_everything_else_together(model, monkeyp
     assert says(0.45) and says(0.5) and not says(0.51)
     # a device with a body tells the rivals of a name, and the experiment that separates them
     assert not says(0.45, preset("integrated")) and says(0.05, preset("integrated"))
+
+
+def test_effects_that_explain_as_much_are_told_as_a_set_without_a_name(model):
+    """A sensor that lags, on one response: others fit as well, and the answer holds it without naming one."""
+    found = study([recorded(2, change=lambda y: y[0] + lfilter([0.25], [1, -0.75], y - y[0]))], model)
+    answer = assemble_diagnosis(found)
+    (effect,) = answer.effects
+    assert effect.id == "unknown" and len(effect.siblings) > 1 and "sensor_lag" in effect.siblings
+    assert effect.family == f"sensor:{TIP_DEFLECTION}"
+    assert answer.to_dict()["effects"][0]["siblings"] == effect.siblings
+    assert f"one of {', '.join(effect.siblings)}" in answer.summary
+    assert {pair[1] for pair in answer.indistinguishable} < set(effect.siblings)
+    assert effect.probability > 0.5
 
 
 def _shape(group: str) -> Shape:

@@ -116,6 +116,21 @@ def test_families_and_siblings():
     assert judged("one", lag, found).family
 
 
+def test_a_stated_set_is_right_only_where_it_holds_the_truth():
+    def of(truth, *members, kind="one"):
+        found = diagnosis("unknown")
+        found["effects"][0] |= {"siblings": list(members), "family": "structure"}
+        return judged(kind, [effect(truth, families=["structure"])], found)
+
+    right = of("creep", "creep", "sensor_lag")
+    assert right.sibling and right.family and not right.top1 and not right.wrong
+    assert right.stated == ((0.9, True),)
+    wrong = of("creep", "averaging", "sensor_lag")
+    assert wrong.wrong and not wrong.sibling and wrong.stated == ((0.9, False),)
+    outside = of("composed", "averaging", "sensor_lag", kind="outside")
+    assert outside.wrong and not outside.unknown
+
+
 def test_stated_probabilities_of_every_effect():
     found = diagnosis("creep", "dead_time")
     assert judged("one", [effect("creep")], found).stated == ((0.9, True), (0.9, False))

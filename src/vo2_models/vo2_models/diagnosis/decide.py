@@ -56,6 +56,8 @@ class Decision:
     mimics : effects that would look like that move, best first; none where it is small
     adequacy : of what is named, else of the best option; None where there is no option
     unlike_noise : whether more than noise is left, which nothing predicts
+    equivalent : on a device without body, ids of the effects that explain as much as `chosen` does, best first, its own among
+        them: one of them it is, and `chosen` stands for all; empty where a single effect is named
     """
 
     verdict: Literal["agrees", "drifted", "differs"]
@@ -72,13 +74,14 @@ class Decision:
     mimics: tuple[Hypothesis, ...]
     adequacy: Adequacy | None = None
     unlike_noise: bool = False
+    equivalent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class _Verdict:
     """The first option that is admissible, or the nuisance model alone.
 
-    `shown` is the largest share of the excess that an option explains, admissible or not.
+    `shown` is the largest share of the excess that an option explains, admissible or not; `equivalent` as in `Decision`.
     """
 
     option: Option | None
@@ -87,6 +90,7 @@ class _Verdict:
     remaining: float
     adequacy: Adequacy | None
     shown: float
+    equivalent: tuple[str, ...] = ()
 
 
 def decide(located: Located, found: Search, reading: Reading, limits: Limits, clock: Clock) -> Decision:
@@ -142,12 +146,14 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
         judgements.append(adequacy)
         shown = max(shown, adequacy.share, judged.share)
         admissible = _is_admissible(option, judged, adequacy, limits)
+        equivalent: tuple[str, ...] = ()
         if located.own_misfit:
-            admissible = admissible and _alone(option, found.singles, limits)
+            admissible = admissible and len(option.chosen.keys) == 1
+            equivalent = _equivalent(option, found.singles, limits)
         rivals, remaining = option.rivals, option.remaining
         hidden = admissible and found.hidden
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
-            return _Verdict(option, judged, rivals, remaining, adequacy, shown)
+            return _Verdict(option, judged, rivals, remaining, adequacy, shown, equivalent)
     likeliest = min(judgements, key=lambda one: one.something_else(limits), default=None)
     return _Verdict(None, held_out(problem, None, folds=folds), rivals, remaining, likeliest, shown)
 
@@ -164,11 +170,15 @@ def _named(
 ) -> Decision:
     """What is named, where it acts, what could stand in its place, and what would tell them apart."""
     final, chosen = option.final, option.chosen
-    pairs = _rival_pairs(chosen, verdict.rivals, verdict.remaining, limits, one_loop=one_loop)
+    own = chosen.hypotheses[0].record.id
+    pairs = [(own, name) for name in verdict.equivalent if name != own] or _rival_pairs(
+        chosen, verdict.rivals, verdict.remaining, limits, one_loop=one_loop
+    )
     proposal = None
     if pairs:
         clock.say("designing the next experiment")
-        rival = next(r for r in verdict.rivals if pairs[0][1] in (h.record.id for h in r.hypotheses))
+        known = (*verdict.rivals, *found.singles)
+        rival = next(r for r in known if pairs[0][1] in (h.record.id for h in r.hypotheses))
         proposal = propose(
             located.problem, located.nominal, chosen, rival, limits, names=pairs[0], say=clock.say
         )
@@ -183,7 +193,7 @@ def _named(
         verdict="differs", final=final, chosen=chosen, judged=verdict.judged, rivals=verdict.rivals,
         remaining_excess=verdict.remaining, unnamed=None,
         breakdown=tuple(breakdown(final, trace(final), floor=0.0)), rival_pairs=tuple(pairs), proposal=proposal,
-        drift=drift, mimics=mimics, adequacy=verdict.adequacy,
+        drift=drift, mimics=mimics, adequacy=verdict.adequacy, equivalent=verdict.equivalent,
     )  # fmt: skip
 
 
@@ -287,12 +297,19 @@ def _stands_for_constants(option: Option, singles: Sequence[Explanation], limits
     return len(chosen.keys) == 1 and chosen.gain - max(others, default=0.0) > limits.apart
 
 
-def _alone(option: Option, singles: Sequence[Explanation], limits: Limits) -> bool:
-    """Whether an option is one effect, and no other comes near its gain: beside a device's own misfit a little is no evidence."""
-    chosen = option.chosen
-    own = {hypothesis.record.id for hypothesis in chosen.hypotheses}
-    others = [e.gain for e in singles if e.hypotheses[0].record.id not in own]
-    return len(chosen.keys) == 1 and max(others, default=0.0) < limits.rival_of_misfit * chosen.gain
+def _equivalent(option: Option, singles: Sequence[Explanation], limits: Limits) -> tuple[str, ...]:
+    """Ids of the single effects that gain nearly as much as an option, best first, its own among them; empty for it alone.
+
+    Beside a device's own misfit a little more gain is no evidence: on one response a lag, an average and a late clock differ
+    by less.
+    """
+    own = option.chosen.hypotheses[0].record.id
+    gains = {own: option.chosen.gain}
+    for single in singles:
+        name = single.hypotheses[0].record.id
+        if name != own and single.gain >= limits.rival_of_misfit * option.chosen.gain:
+            gains[name] = max(gains.get(name, 0.0), single.gain)
+    return tuple(sorted(gains, key=lambda name: -gains[name])) if len(gains) > 1 else ()
 
 
 def _significant(explanation: Explanation, limits: Limits) -> bool:

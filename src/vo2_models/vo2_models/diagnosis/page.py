@@ -222,7 +222,7 @@ def _effect(effect: NamedEffect) -> str:
         paragraph(f"Family: {effect.family}. Form: {effect.form}."),
         *(
             [paragraph(f"Not told from {', '.join(effect.siblings)} by these recordings.")]
-            if effect.siblings
+            if effect.siblings and effect.id != "unknown"
             else []
         ),
         paragraph(effect.statement),

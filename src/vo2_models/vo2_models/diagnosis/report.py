@@ -54,6 +54,8 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
     decision = study.decision
     candidates, probability = _candidates(study) if decision.verdict == "differs" else ([], {})
     effects = _named(study, probability) if decision.verdict == "differs" else []
+    if decision.equivalent:
+        effects = [_one_of(study, effects[0])]
     pairs = [list(pair) for pair in decision.rival_pairs]
     return Diagnosis(
         verdict=decision.verdict,
@@ -245,6 +247,8 @@ def unlikely(study: Study) -> bool:
     """
     if study.decision.chosen is None:
         return False
+    if study.decision.equivalent:
+        return _something_else(study) >= 0.5
     probability = _candidates(study)[1]
     least = min(probability[key] for key in study.decision.chosen.keys)
     if not study.located.problem.nominal.model.description.has_body:
@@ -372,6 +376,33 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
     if study.decision.unnamed is not None or not found:
         found.append(_unknown(study))
     return found
+
+
+def _one_of(study: Study, best: NamedEffect) -> NamedEffect:
+    """The answer where several effects explain the recordings equally well: their family, without a name, and all of them.
+
+    The family is that of most of them, of equally many that of the best. Of one loop and its sensor no structure and no film
+    can be told: what is theirs is the sensor's, see `families.OF_ONE_LOOP`.
+    """
+    equivalent = study.decision.equivalent
+    every = {h.record.id: h for h in study.search.candidates}
+    families = [every[name].record.family(every[name].signal) for name in equivalent]
+    if study.located.problem.nominal.model.description.is_one_loop:
+        excess = study.located.excess
+        sensor = f"sensor:{max(excess, key=lambda channel: excess[channel])}"
+        families = [sensor if family in ("structure", "film") else family for family in families]
+    return NamedEffect(
+        "unknown",
+        1.0 - _something_else(study),
+        f"One of {', '.join(equivalent)}: these recordings fit each of them nearly equally well, and do not tell which it is. "
+        f"The corrected model carries {best.id}, which stands for all of them.",
+        f"as of {best.id}: {best.equation}",
+        {},
+        best.signal,
+        max(families, key=families.count),
+        "one of several",
+        list(equivalent),
+    )
 
 
 def _form(hypothesis: Hypothesis, chosen: Explanation, index: int) -> str:
@@ -508,6 +539,11 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     )
     moved = ", ".join(text for text in (moved, *_loops_in_words(study)) if text)
     tail = f" {lead}: {moved}." if moved else ""
+    if decision.equivalent:
+        return (
+            f"{head} Left out: one of {', '.join(decision.equivalent)}; these recordings do not tell which. Most of them are "
+            f"of the family {effects[0].family}.{tail}"
+        )
     names = [e.id + (f" on {e.signal}" if e.signal else "") for e in effects if e.id != "unknown"]
     if not names:
         share = decision.unnamed.share if decision.unnamed else 0.0

@@ -67,7 +67,7 @@ class NamedEffect:
     parameters : name -> estimate
     family : drive, heat, transition, film, structure, sensor:CHANNEL or clock:CHANNEL
     form : which of the forms of its class it has
-    siblings : ids that these recordings do not tell from it; the family is the answer then
+    siblings : ids that these recordings do not tell from it; the family is the answer then. Of "unknown": it is one of these
     """
 
     id: str

@@ -57,6 +57,22 @@ LINES = (
         "least",
     ),
     Line(
+        "change_name_or_siblings",
+        "change since calibration: right first name or sibling set",
+        ("one",),
+        lambda j: j.sibling,
+        0.95,
+        "least",
+    ),
+    Line(
+        "change_wrong_name",
+        "change since calibration: a wrong name or set",
+        ("one",),
+        lambda j: None if j.failure else j.wrong,
+        0.03,
+        "most",
+    ),
+    Line(
         "change_family", "change since calibration: right family", ("one",), lambda j: j.family, 0.98, "least"
     ),
     Line(

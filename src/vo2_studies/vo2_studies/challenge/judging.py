@@ -85,7 +85,7 @@ class Judgement:
     first : row label of the confusion matrix: id named first, "unknown", "none", "limit stated" or "failed"
     verdict : whether the verdict is right: agrees, on another day drifted too; drifted; differs
     alarm : verdict "differs" or any effect named
-    wrong : a name that is not the truth's, nor of a form that it says as much of
+    wrong : a name that is not the truth's, nor of a form that it says as much of; or a set of effects without the truth
     family : the first effect's family is right (one effect or outside)
     constant : drifted, and the constant that moved farthest in its standard deviations is the right one
     top1, top3 : right name first, among the first three of the ranking (one effect)
@@ -255,7 +255,7 @@ def judge(answer: Mapping, result: Mapping) -> Judgement:
         "first": _first(answer, diagnosis),
         "verdict": diagnosis["verdict"] in VERDICTS.get(kind, ("differs",)),
         "alarm": diagnosis["verdict"] == "differs" or bool(diagnosis["effects"]),
-        "wrong": bool(set(names) - right_names),
+        "wrong": bool(set(names) - right_names) or _wrong_set(diagnosis, right_names),
         "stated": _stated(diagnosis, right_names, kind),
         "seconds": result.get("seconds"),
     }
@@ -273,17 +273,28 @@ def judge(answer: Mapping, result: Mapping) -> Judgement:
         values["removed"] = excess_removed(diagnosis)
     elif kind == "outside":
         top = _top_location(diagnosis)
-        values["unknown"] = values["first"] == "unknown" and not names
+        values["unknown"] = values["first"] == "unknown" and not names and not values["wrong"]
         values["family"] = _right_family(effects[0], diagnosis)
         values["removed"] = excess_removed(diagnosis)
         values["channel"] = top is not None and top["signal"] in effects[0]["channels"]
     return Judgement(**base, **values)
 
 
+def _wrong_set(diagnosis: Mapping, right: set[str]) -> bool:
+    """Whether "unknown" is told to be one of several effects, none of which is right: that is a wrong answer too."""
+    sets = [set(e.get("siblings", ())) for e in diagnosis["effects"] if e["id"] == "unknown"]
+    return any(one and not one & right for one in sets)
+
+
 def _stated(diagnosis: Mapping, right: set[str], kind: str) -> tuple[tuple[float, bool], ...]:
     """Return probability and truth of every listed effect; "unknown" is true of what is outside the catalogue."""
     true = right | ({"unknown"} if kind == "outside" else set())
-    return tuple((float(entry["probability"]), entry["id"] in true) for entry in diagnosis["effects"])
+
+    def holds(entry: Mapping) -> bool:
+        told = entry.get("siblings") if entry["id"] == "unknown" else None
+        return bool(set(told) & right) if told else entry["id"] in true
+
+    return tuple((float(entry["probability"]), holds(entry)) for entry in diagnosis["effects"])
 
 
 def _right_constant(answer: Mapping, diagnosis: Mapping) -> bool:
