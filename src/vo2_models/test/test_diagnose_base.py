@@ -334,14 +334,12 @@ def test_a_ripple_begins_with_the_pitch_of_the_residual(pitch) -> None:
     assert all(found.bounds("pitch")[0] < s["pitch"] < found.bounds("pitch")[1] for s in found.starts)
 
 
-def test_what_acts_in_few_stretches_leaves_much_or_is_two_is_improbable() -> None:
+def test_what_acts_in_few_stretches_or_leaves_much_is_improbable() -> None:
     limits = Limits()
     wrong = limits.probability_of_something_else
-    assert wrong(5.0, 0.0, 0.1) > limits.doubt > wrong(100.0, 0.0, 0.1)
-    assert wrong(100.0, 0.0, 0.1) < wrong(100.0, 1.0, 0.1) < wrong(100.0, 10.0, 0.1)
-    assert wrong(100.0, 10.0, 10.0) == wrong(100.0, 0.1, 0.1)  # over the law's own misfit
-    assert wrong(100.0, 0.0, 0.1) < wrong(100.0, 0.0, 0.1, effects=2)
-    assert wrong(np.inf, 0.0, 0.1) == wrong(limits.surest, 0.0, 0.1)  # what the values show by themselves
+    assert wrong(10.0, 0.0) > limits.doubt > wrong(100.0, 0.0)
+    assert wrong(100.0, 0.0) < wrong(100.0, 1.0) < wrong(100.0, 10.0)
+    assert wrong(np.inf, 0.0) == wrong(limits.surest, 0.0)  # what the values show by themselves
 
 
 def test_a_refit_ends_where_no_small_change_fits_better() -> None:

@@ -3,7 +3,7 @@
 A fitted law misses every device by something, and by how much is a matter of the device: a loop that is no Preisach
 operator leaves several noise powers where another leaves none. Two figures tell a misfit that looks like an effect from the
 effect. A misfit has the pattern in some stretches of a recording and not in others, so that the stretches do not agree on it;
-and it is not used up by one effect, so that more is left than the law misses of its own calibration.
+and it is not used up by one effect, so that more than the device's own misfit is left.
 """
 
 from __future__ import annotations
@@ -28,14 +28,12 @@ class Adequacy:
     share : of the excess that is explained, 0 to 1
     left : excess power that is left, in noise powers of a sample, beyond what an equation a little off leaves of its own
     sigmas : how surely its effects act, see `sureness`; infinite where the values themselves show one
-    misfit : excess power, in noise powers of a sample, that the law left of the worst stretch of its calibration
     """
 
     keys: tuple[str, ...]
     share: float
     left: float
     sigmas: float
-    misfit: float
 
     def something_else(self, limits: Limits) -> float:
         """Return the probability that it is none of these effects.
@@ -44,18 +42,15 @@ class Adequacy:
         ----------
         limits : with the coefficients
         """
-        return limits.probability_of_something_else(
-            self.sigmas, self.left, self.misfit, effects=len(self.keys)
-        )
+        return limits.probability_of_something_else(self.sigmas, self.left)
 
 
-def adequacy_of(option: Option, misfit: float, limits: Limits) -> Adequacy:
+def adequacy_of(option: Option, limits: Limits) -> Adequacy:
     """Judge how surely an option acts and what it leaves over.
 
     Parameters
     ----------
     option : the explanation with the problem about it
-    misfit : of the law with the calibration, in noise powers of a sample
     limits : with what an equation leaves
 
     Returns
@@ -67,7 +62,7 @@ def adequacy_of(option: Option, misfit: float, limits: Limits) -> Adequacy:
     share = gain / max(gain + count * remaining, 1e-300)
     left = max(remaining - limits.equation * gain / count, 0.0)
     evident = any(h.evident for h in chosen.hypotheses)
-    return Adequacy(chosen.keys, share, left, np.inf if evident else sureness(option), misfit)
+    return Adequacy(chosen.keys, share, left, np.inf if evident else sureness(option))
 
 
 def sureness(option: Option) -> float:

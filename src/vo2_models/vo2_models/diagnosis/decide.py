@@ -142,7 +142,7 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
     for option in found.options:
         judged = held_out(option.final, option.chosen, reference=problem, folds=folds, tick=clock.tick)
         shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
-        adequacy = adequacy_of(option, located.left_out, limits)
+        adequacy = adequacy_of(option, limits)
         judgements.append(adequacy)
         shown = max(shown, adequacy.share, judged.share)
         admissible = _is_admissible(option, judged, adequacy, limits)

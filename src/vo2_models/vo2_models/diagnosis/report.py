@@ -84,12 +84,7 @@ def _adequacy(study: Study) -> dict[str, float | list[str]]:
     if found is None:
         return {}
     ids = [key.partition(":")[0] for key in found.keys]
-    told: dict[str, float | list[str]] = {
-        "of": ids,
-        "explained": found.share,
-        "left": found.left,
-        "misfit": found.misfit,
-    }
+    told: dict[str, float | list[str]] = {"of": ids, "explained": found.share, "left": found.left}
     return told | ({"sigmas": found.sigmas} if np.isfinite(found.sigmas) else {})
 
 

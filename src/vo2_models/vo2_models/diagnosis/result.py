@@ -140,9 +140,8 @@ class Diagnosis:
 
     `summary`, `limits` (of the data, in words), `not_excited`, `excess`, `seconds` and `decision_limits` (of the method,
     each with its provenance) go beyond the schema, and `adequacy`: `of` the best answer, named or not, the share of the excess
-    that is `explained`, the excess power `left` beyond it in noise powers of a sample, that of the law's own `misfit` with its
-    calibration, and how surely its effects act, in standard deviations by the scatter over stretches (`sigmas`);
-    `own_misfit`: of resistance and deflection size
+    that is `explained`, the excess power `left` beyond it in noise powers of a sample, and how surely its effects act, in
+    standard deviations by the scatter over stretches (`sigmas`); `own_misfit`: of resistance and deflection size
     (`level`, log10 ohm or m) and length (`travel_k`, K) of the misfit that the calibration shows, and by how many noise
     powers it missed the worst stretch of it that was left out (`left_out`).
     """

@@ -3,8 +3,8 @@
     python -m vo2_studies.challenge.calibrate DIR [DIR ...]
 
 Every diagnosis with an explanation counts, whether it was named or not. The log odds of a wrong one are linear in the
-logarithms of how surely its effects act and of what it leaves, and in their number. Each family of concealed hysteresis is
-predicted by coefficients that were fitted to the others; the last line has those fitted to all.
+logarithms of how surely its effects act and of what it leaves. Each family of concealed hysteresis is predicted by
+coefficients that were fitted to the others; the last line has those fitted to all.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from vo2_studies.challenge.runner import load_json
 __all__ = ["Explained", "calibrated", "features", "left_out", "main", "read_explained", "reliability"]
 
 Floats = NDArray[np.float64]
-LIMITS = ("else_base", "else_sure", "else_left", "else_second")
-"""Coefficients among the limits of a diagnosis: constant, per decade of certainty and of what is left, for a second effect."""
-PRIOR = ((4.0, 3.0), (3.0, 1.5), (2.0, 1.5), (1.0, 1.0))
+LIMITS = ("else_base", "else_sure", "else_left")
+"""Coefficients among the limits of a diagnosis: constant, per decade of certainty, per decade of what is left."""
+PRIOR = ((4.0, 3.0), (3.0, 1.5), (2.0, 1.5))
 """Mean and standard deviation of each coefficient beforehand: as probable as not at 20 standard deviations where nothing is
 left, ten times the odds or more for a decade of either."""
 EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)
@@ -43,7 +43,6 @@ class Explained:
     ----------
     family : of the concealed hysteresis
     sure, left : decades of how surely it acts and of what it leaves, as the diagnosis counts them
-    second : 1 where it has two effects, else 0
     right : whether all its effects were concealed, in this form or a sibling's
     in_use : coefficients that the diagnosis had
     """
@@ -51,7 +50,6 @@ class Explained:
     family: str
     sure: float
     left: float
-    second: int
     right: bool
     in_use: tuple[float, ...] = ()
 
@@ -63,26 +61,25 @@ def read_explained(folder: Path) -> list[Explained]:
         answer, result = load_json(folder / "answers" / file.name), load_json(file)
         diagnosis: Mapping | None = result["diagnosis"]
         adequacy = diagnosis.get("adequacy") or {} if diagnosis else {}
-        if diagnosis is None or not {"of", "sigmas", "left", "misfit"} <= adequacy.keys():
+        if diagnosis is None or not {"of", "sigmas", "left"} <= adequacy.keys():
             continue  # none, one that the values show by themselves, or of an older version
         limits = {name: float(limit["value"]) for name, limit in diagnosis["decision_limits"].items()}
         concealed = {name for e in answer["effects"] for name in (e["id"], *e["siblings"])}
         right = set(adequacy["of"]) <= concealed
-        in_use = tuple(limits.get(name, math.nan) for name in LIMITS)  # nan: of a version without it
+        in_use = tuple(limits[name] for name in LIMITS)
         sure = math.log10(min(max(adequacy["sigmas"], 1.0), limits["surest"]))
-        left = math.log10(1.0 + adequacy["left"] / max(adequacy["misfit"], limits["least"]))
-        second = len(adequacy["of"]) - 1
-        found.append(Explained(answer["family"], sure, left, second, right, in_use))
+        left = math.log10(1.0 + adequacy["left"] / limits["least"])
+        found.append(Explained(answer["family"], sure, left, right, in_use))
     return found
 
 
 def features(cases: Sequence[Explained]) -> Floats:
-    """Return what the log odds of a wrong explanation are linear in, (n, 4)."""
-    return np.array([[1.0, -c.sure, c.left, c.second] for c in cases])
+    """Return what the log odds of a wrong explanation are linear in, (n, 3)."""
+    return np.array([[1.0, -c.sure, c.left] for c in cases])
 
 
 def calibrated(cases: Sequence[Explained]) -> Floats:
-    """Return the coefficients (4,) of highest posterior density, the prior being `PRIOR`."""
+    """Return the coefficients (3,) of highest posterior density, the prior being `PRIOR`."""
     x, wrong = features(cases), np.array([not c.right for c in cases], dtype=float)
     mean, spread = np.array(PRIOR).T
 
