@@ -36,16 +36,17 @@ def one_effect(name, **more):
 
 
 def test_shares_and_balance():
-    plans = [plan_case(7, index) for index in range(1344)]
+    each = len(IDS)
+    plans = [plan_case(7, index) for index in range(32 * each)]
     counts = Counter(plan.kind for plan in plans)
     assert set(counts) == set(KINDS)
     # the contract's: a quarter without effect, half with one, an eighth with two, an eighth outside
-    assert counts["none"] + counts["day"] + counts["moved"] == 336
-    assert counts["one"] + counts["always"] + counts["beside"] == 672
-    assert counts["two"] == counts["outside"] == 168
+    assert counts["none"] + counts["day"] + counts["moved"] == 8 * each
+    assert counts["one"] + counts["always"] + counts["beside"] == 16 * each
+    assert counts["two"] == counts["outside"] == 4 * each
     singles = Counter(plan.effects[0] for plan in plans if plan.kind == "one")
     assert set(singles) == set(IDS)
-    assert max(singles.values()) - min(singles.values()) <= 1
+    assert set(singles.values()) == {10}
     by_device = Counter((plan.effects[0], plan.device) for plan in plans if plan.kind == "one")
     assert min(by_device.values()) >= 5
     for plan in plans:
