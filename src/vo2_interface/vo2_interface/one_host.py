@@ -113,13 +113,23 @@ def reclaim_shared_memory(folder: Path = _SHARED_MEMORY) -> int:
     """Remove the Fast DDS segments (16 MB each) of processes of this user that were killed; return how many.
 
     A process holds a lock on the file `fastrtps_*_el` beside its segment for as long as it lives. Those of ports need
-    no care: Fast DDS itself takes over one whose owner is gone.
+    no care, as Fast DDS itself takes over one whose owner is gone, but for one without content: its maker was killed before it
+    had given it a size, and whoever opens that port waits for the size without end.
 
     Parameters
     ----------
     folder : where the system keeps shared memory
     """
     count = 0
+    for port in folder.glob("fastrtps_port*[0-9]"):
+        try:
+            about = port.stat()
+            old = time.time() - about.st_mtime >= _YOUNG_S
+            if old and about.st_size == 0 and about.st_uid == os.geteuid():
+                port.unlink()
+                count += 1
+        except FileNotFoundError:  # another process has just removed it
+            continue
     for lock in folder.glob("fastrtps_*_el"):
         segment = lock.with_name(lock.name.removesuffix("_el"))
         try:
