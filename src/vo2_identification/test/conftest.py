@@ -11,9 +11,9 @@ hear_ctrl_c()
 
 @pytest.fixture(autouse=True)
 def no_thread_works_on():
-    """Fail a test that leaves a thread at work, beside the tests that follow.
+    """Wait for the threads that a test leaves behind, and fail the test where one works on for more than 5 s.
 
-    Where one of these stops `tracemalloc` while the thread allocates, Python 3.11 can die of SIGSEGV (python/cpython#128679).
+    Where a later test stops `tracemalloc` while the thread allocates, Python 3.11 can die of SIGSEGV (python/cpython#128679).
     """
     before = set(threading.enumerate())
     yield

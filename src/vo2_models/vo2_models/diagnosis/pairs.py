@@ -30,7 +30,7 @@ PARTNERS = 5
 BRIEF_BESIDE = 2
 """Iterations after which a refit beside another effect shows whether it is worth going on."""
 HOPELESS = 0.25
-"""Share of what the first leaves over that the best second must explain, for exchanges to be tried."""
+"""Share of what the first leaves over below which the best second is not followed further: no pair is found then."""
 EXCHANGES = 3
 """So often one of the two is tried anew beside the other."""
 NEARLY = 0.25
