@@ -334,6 +334,33 @@ def test_a_ripple_begins_with_the_pitch_of_the_residual(pitch) -> None:
     assert all(found.bounds("pitch")[0] < s["pitch"] < found.bounds("pitch")[1] for s in found.starts)
 
 
+@pytest.mark.parametrize("apart", [2, 3, 5])
+def test_noise_of_a_slow_channel_is_whitened_by_the_samples_that_are_there(apart):
+    noise = NoiseModel(0.3, (0.8,))
+    x = noise.color(np.random.default_rng(2).standard_normal(60_000))
+    slow = noise.every(apart)
+    assert slow.level == pytest.approx(noise.level, rel=1e-6)
+    assert slow.every(apart).ar == pytest.approx(slow.ar, abs=1e-9)
+    there = np.arange(x.size) % apart == 1
+    left = slow.whiten(np.where(there, x, 0.0))[there][10:]
+    assert np.std(left) == pytest.approx(1.0, rel=0.02)
+    assert abs(np.corrcoef(left[1:], left[:-1])[0, 1]) < 4.0 / np.sqrt(left.size)
+
+
+def test_a_channel_that_is_slower_than_the_others_is_judged():
+    nominal, current, dt = _model(), _drive(900), 1e-3
+    nominal = replace(nominal, noise={RESISTANCE: NoiseModel(1e-3), TIP_DEFLECTION: NoiseModel(1e-7, (0.6,))})
+    shown = nominal.respond(current, dt).channels
+    there = np.arange(900) % 3 == 1
+    channels = {HEATER_CURRENT: current, RESISTANCE: 10.0 ** shown[RESISTANCE]}
+    channels[TIP_DEFLECTION] = np.where(there, shown[TIP_DEFLECTION], np.nan)
+    recording = Recording(dt * np.arange(900), channels, "integrated")
+    problem = linearise_problem(nominal, [prepare(recording, nominal)])
+    (row,) = [row for row in problem.rows if row.channel == TIP_DEFLECTION]
+    assert np.count_nonzero(problem.weight[row.where]) > 0.95 * np.count_nonzero(there)
+    assert not np.any(problem.weight[row.where][~there])
+
+
 def test_what_acts_in_few_stretches_or_leaves_much_is_improbable() -> None:
     limits = Limits()
     wrong = limits.probability_of_something_else

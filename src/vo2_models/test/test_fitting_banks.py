@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 from vo2_models.device import truth
 from vo2_models.identification.bank_fit import BankShape, evaluate, fit_bank, starting_shape
 from vo2_models.identification.bank_uncertainty import bank_uncertainty
+from vo2_models.identification.device_fit import fit_device
 from vo2_models.identification.excitation import damped_oscillation, random_levels
 from vo2_models.identification.grid import on_grid
 from vo2_models.identification.levenberg_marquardt import levenberg_marquardt
@@ -167,6 +169,33 @@ def test_noise_is_told_from_misfit(colour):
     level, found = noise_of_residual(0.1 * (e + misfit), signal)
     assert found == pytest.approx(colour, abs=0.05)
     assert level == pytest.approx(0.1, rel=0.12)
+
+
+@pytest.mark.parametrize("apart", [2, 4])
+@pytest.mark.parametrize("colour", [0.0, 0.9])
+def test_noise_of_a_slow_channel_is_told_too(colour, apart):
+    rng = np.random.default_rng(5)
+    e = lfilter([np.sqrt(1 - colour**2)], [1.0, -colour], rng.standard_normal(16_000))
+    signal = 50.0 * np.sin(np.arange(e.size) / 300)
+    slow = np.full(e.size, np.nan)
+    slow[1::apart] = 0.1 * e[1::apart]
+    level, found = noise_of_residual(slow, signal)
+    assert found == pytest.approx(colour, abs=0.05)
+    assert level == pytest.approx(0.1, rel=0.12)
+
+
+def test_a_calibration_with_a_slow_channel_is_fitted():
+    current = 3.68e-3 + 4.81e-3 * np.repeat(np.random.default_rng(1).uniform(size=60), 30)
+    whole = truth("integrated", seed=1).simulate(current, seed=1)
+    time_s, every = 1e-3 * np.arange(current.size), np.arange(current.size) % 3 == 0
+    channels = {name: whole[name].copy() for name in (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)}
+    channels[TIP_DEFLECTION][~every] = np.nan
+    fitted = fit_device([Recording(time_s, channels, "integrated")], "integrated").model
+    reference = fit_device(
+        [Recording(time_s, {n: whole[n] for n in channels}, "integrated")], "integrated"
+    ).model
+    for name in (RESISTANCE, TIP_DEFLECTION):
+        assert fitted.sensors[name].noise == pytest.approx(reference.sensors[name].noise, rel=0.25)
 
 
 def test_correlation_of_a_residual():

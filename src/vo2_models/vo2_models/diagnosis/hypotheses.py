@@ -391,9 +391,9 @@ def _pitches(problem: LinearisedProblem, signal: str, residual: Floats, finest: 
             counts = problem.weight[row.where] > 0
             values.append(part.observed[signal][counts])
             left.append(problem.in_its_unit(row, residual)[counts])
-    if not values:
+    y, r = np.concatenate([[], *values]), np.concatenate([[], *left])
+    if y.size == 0:
         return [3.0 * finest]
-    y, r = np.concatenate(values), np.concatenate(left)
     stride = max(1, y.size // 20_000)
     y, r = y[::stride], r[::stride] - np.mean(r)
     span = max(float(np.ptp(y)), CRESTS * finest)

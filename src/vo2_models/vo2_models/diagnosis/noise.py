@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter, lfiltic
 
-__all__ = ["LONGEST", "NoiseModel", "fit_noise", "level_from_differences", "value_step"]
+__all__ = ["LONGEST", "NoiseModel", "fit_noise", "level_from_differences", "samples_apart", "value_step"]
 
 Floats = NDArray[np.float64]
 LONGEST = 4
@@ -49,14 +49,29 @@ class NoiseModel:
     def variance_of_sums(self, length: int) -> Floats:
         """Variance of the sum of 0, 1, ... `length` neighbouring samples (length + 1,): n g_0 + 2 sum (n - k) g_k."""
         lags = min(length, LAGS)
-        impulse = np.zeros(2000)
-        impulse[0] = self.innovation
-        h = lfilter([1.0], [1.0, *(-a for a in self.ar)], impulse)
         covariance = np.zeros(length + 1)
-        covariance[:lags] = [h[: h.size - k] @ h[k:] for k in range(lags)]
+        covariance[:lags] = self._covariance(lags)
         # second sum of the autocovariance
         once = 2.0 * np.cumsum(covariance) - covariance[0]
         return np.concatenate([[0.0], np.cumsum(once[:length])])
+
+    def _covariance(self, lags: int) -> Floats:
+        """Autocovariance at 0, 1, ... lags - 1 samples (lags,)."""
+        impulse = np.zeros(2000)
+        impulse[0] = self.innovation
+        h = lfilter([1.0], [1.0, *(-a for a in self.ar)], impulse)
+        return np.array([h[: h.size - k] @ h[k:] for k in range(lags)])
+
+    def every(self, apart: int) -> NoiseModel:
+        """The same noise where only each `apart`-th sample is there: regressed on these alone, by Yule-Walker equations."""
+        if apart == 1 or not self.ar:
+            return self
+        order = max(LONGEST // apart, 1)
+        g = self._covariance(order * apart + 1)[::apart]
+        a = solve_toeplitz(g[:order], g[1:])
+        ar = np.zeros(order * apart)
+        ar[apart - 1 :: apart] = a
+        return NoiseModel(float(np.sqrt(g[0] - a @ g[1:])), tuple(ar.tolist()))
 
     def whiten(self, x: Floats) -> Floats:
         """Filter (n, ...) along the first axis to innovations of unit variance.
@@ -92,6 +107,12 @@ class NoiseModel:
     def scaled(self, factor: float) -> NoiseModel:
         """The same colour at `factor` times the level."""
         return NoiseModel(self.innovation * factor, self.ar)
+
+
+def samples_apart(present: NDArray[np.bool_]) -> int:
+    """Return how many samples the ones that are there (n,) are apart, in the median: 1 where some are missing at times."""
+    places = np.flatnonzero(present)
+    return int(np.median(np.diff(places))) if places.size > 1 else 1
 
 
 def level_from_differences(x: Floats) -> float:

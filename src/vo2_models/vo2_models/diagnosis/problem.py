@@ -23,6 +23,7 @@ from scipy.linalg import cho_factor, cho_solve
 from vo2_models.diagnosis.current_reading import between_samples
 from vo2_models.diagnosis.loop_shape import LoopShape, loop_shapes
 from vo2_models.diagnosis.misfit import NO_MISFIT, Whitening
+from vo2_models.diagnosis.noise import NoiseModel, samples_apart
 from vo2_models.diagnosis.nominal import Nominal, Response
 from vo2_models.diagnosis.nuisance import Constant, constants_of, law_columns
 from vo2_models.diagnosis.parallel import parallel_map
@@ -327,15 +328,15 @@ def linearise_problem(
     whitening = []
     for row in rows:
         part, response = parts[row.part], responses[row.part]
-        noise = corrected.noise[row.channel]
         measured, counts = part.observed[row.channel], part.valid[row.channel]
+        noise = corrected.noise[row.channel].every(samples_apart(counts))
         predicted = response.channels[row.channel]
         rough: Floats | float = 0.0
         if row.channel in shapes:
             rough = shapes[row.channel].rough_at(response.temperature)
         elif row.channel == HEATER_CURRENT and part.read_late:
             rough = between_samples(measured, noise.level)
-        weight[row.where] = _reach(counts, len(noise.ar)) / np.sqrt(
+        weight[row.where] = _reach(counts, noise) / np.sqrt(
             1.0 + (rough**2 + part.comb_level(row.channel) ** 2) / noise.level**2
         )
         shape, path = shapes.get(row.channel), response.temperature
@@ -420,11 +421,12 @@ def _moved(constants: Sequence[Constant], shift: Floats) -> dict[str, float]:
     return moved
 
 
-def _reach(counts: NDArray[np.bool_], order: int) -> Floats:
+def _reach(counts: NDArray[np.bool_], noise: NoiseModel) -> Floats:
     """1 where a sample and those its whitening needs are there, else 0."""
     good = counts.copy()
-    for k in range(1, order + 1):
-        good[k:] &= counts[:-k]
+    for k, a in enumerate(noise.ar, 1):
+        if a != 0.0:
+            good[k:] &= counts[:-k]
     return good.astype(np.float64)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from vo2_models.diagnosis.noise import samples_apart
+
 __all__ = ["correlation_inflation", "noise_of_residual", "residual_colour"]
 
 Floats = NDArray[np.float64]
@@ -18,8 +20,15 @@ def noise_of_residual(residual: Floats, signal: Floats) -> tuple[float, float]:
     Both come from differences of neighbours where the model's own output `signal` (n,) moves least, so that a
     misfit of the loop shape cancels: for an AR(1) noise of variance v and
     coefficient rho, E d_k^2 = 2 v (1 - rho) and E d_k d_(k+1) = -v (1 - rho)^2. A coefficient that is not
-    significant (5 standard errors of white noise) is given as 0.
+    significant (5 standard errors of white noise) is given as 0. Of a channel that is sampled at every m-th sample the neighbours
+    are m apart, and the coefficient is the m-th root of theirs; where the signal moves too fast for it, the misfit does not
+    cancel and counts as noise, up to the whole residual.
     """
+    apart = samples_apart(np.isfinite(residual))
+    if apart > 1:
+        first = int(np.bincount(np.flatnonzero(np.isfinite(residual)) % apart).argmax())
+        level, rho = noise_of_residual(residual[first::apart], signal[first::apart])
+        return min(level, float(np.nanstd(residual))), max(rho, 0.0) ** (1.0 / apart)
     d = np.diff(residual)
     motion = np.abs(np.diff(signal))
     motion = np.maximum(motion[:-1], motion[1:])
