@@ -110,7 +110,18 @@ class NoiseModel:
 
 
 def samples_apart(present: NDArray[np.bool_]) -> int:
-    """Return how many samples the ones that are there (n,) are apart, in the median: 1 where some are missing at times."""
+    """Return how many samples the ones that are there are apart, in the median: 1 where some are missing at times.
+
+    Parameters
+    ----------
+    present
+        Whether a sample holds a value (n,).
+
+    Returns
+    -------
+    Steps from one such sample to the next, at least 1; 1 for fewer than two.
+
+    """
     places = np.flatnonzero(present)
     return int(np.median(np.diff(places))) if places.size > 1 else 1
 
