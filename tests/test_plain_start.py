@@ -59,15 +59,20 @@ def running(command, environment):
         process.communicate(timeout=10)
 
 
-def bound_addresses(pid):
-    """IP addresses that the sockets of a process are bound to, as `ss -anp` shows them: (hex address, port)."""
+def open_files(pid):
+    """What the descriptors of a process point to."""
     links = []
     for descriptor in Path(f"/proc/{pid}/fd").iterdir():
         try:
             links.append(os.readlink(descriptor))
         except FileNotFoundError:  # closed meanwhile
             continue
-    inodes = {link[8:-1] for link in links if link.startswith("socket:[")}
+    return links
+
+
+def bound_addresses(pid):
+    """IP addresses that the sockets of a process are bound to, as `ss -anp` shows them: (hex address, port)."""
+    inodes = {link[8:-1] for link in open_files(pid) if link.startswith("socket:[")}
     found = set()
     for table in ("udp", "udp6", "tcp", "tcp6"):
         for line in Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]:
@@ -195,8 +200,11 @@ def segments():
 
 
 def segments_of(pid):
-    links = [os.readlink(entry) for entry in Path(f"/proc/{pid}/fd").iterdir() if entry.is_symlink()]
-    found = {Path(link).name.removesuffix("_el") for link in links if link.startswith("/dev/shm/fastrtps_")}
+    found = {
+        Path(link).name.removesuffix("_el")
+        for link in open_files(pid)
+        if link.startswith("/dev/shm/fastrtps_")
+    }
     return {name for name in found if "port" not in name}
 
 
