@@ -23,7 +23,7 @@ from vo2_models.diagnosis.pairs import _untried, option_of, trace
 from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.part import prepare
 from vo2_models.diagnosis.problem import QUICKEST, linearise_problem
-from vo2_models.diagnosis.propagate_correction import corrected_film, propagate_correction
+from vo2_models.diagnosis.propagate_correction import as_sensed, corrected_film, propagate_correction
 from vo2_models.diagnosis.report import odds_of_rival
 from vo2_models.diagnosis.tangent import Tangent
 from vo2_models.effects import effects
@@ -38,6 +38,11 @@ BEHIND = ("terminals", "structure", "sensor")
 def _model() -> Nominal:
     bank = PlayBank([0.5], [0.0], [0.2], [-12.4], [0.2], [-11.0], [-4.7, 0.001])
     return Nominal.from_parameters(DeviceModel("integrated", resistance=bank).to_parameters())
+
+
+def _with_deflection() -> DeviceModel:
+    bend = PlayBank([2e-5], [0.0], [0.2], [-12.4], [0.2], [-11.0], [1e-5, -2e-7])
+    return replace(_model().model, deflection=bend)
 
 
 def _blocks() -> tuple[Tangent, np.ndarray]:
@@ -137,9 +142,7 @@ def test_what_acts_behind_the_film_may_share_its_simulation(name) -> None:
         c: basis.fold(rng.normal(size=basis.columns), span=s)
         for c, s in ((RESISTANCE, 1), (TIP_DEFLECTION, 5e-5))
     }
-    model = replace(
-        _model().model, deflection=PlayBank([2e-5], [0.0], [0.2], [-12.4], [0.2], [-11.0], [1e-5, -2e-7])
-    )
+    model = _with_deflection()
     nominal = replace(_model(), model=model, corrections=fold)
     nominal.respond(current, dt, fine=False)
     drawn = effect.draw("integrated", rng)
@@ -154,6 +157,49 @@ def test_what_acts_behind_the_film_may_share_its_simulation(name) -> None:
         assert np.array_equal(shared.channels[TIP_DEFLECTION], alone[:, 2])
     behind = effect.stage in BEHIND and drawn.get("signal") != HEATER_CURRENT
     assert nominal._films.cache_info().hits == behind
+
+
+@pytest.mark.parametrize(
+    ("channel", "changes"),
+    [
+        (RESISTANCE, {"averaging:film_resistance": {"signal": RESISTANCE, "window": 5e-3, "sampled": 1.0}}),
+        (
+            RESISTANCE,
+            {"sensor_lag:film_resistance": {"signal": RESISTANCE, "time_constant": 4e-3, "sampled": 1.0}},
+        ),
+        (TIP_DEFLECTION, {"clock_offset:tip_deflection": {"signal": TIP_DEFLECTION, "delay": 7e-3}}),
+        (
+            TIP_DEFLECTION,
+            {
+                "creep": {"share": 0.2, "time_constant": 0.05},
+                "sensor_gain_drift:tip_deflection": {"signal": TIP_DEFLECTION, "rate": 0.3},
+            },
+        ),
+        (
+            TIP_DEFLECTION,
+            {"sensor_ripple:tip_deflection": {"signal": TIP_DEFLECTION, "amplitude": 1e-6, "pitch": 5e-6}},
+        ),
+    ],
+)
+def test_a_sensor_shows_a_change_of_the_loop_as_it_shows_the_loop(channel, changes) -> None:
+    """A small change of the loop's shape, propagated, is the difference of two simulations; a ripple is passed over."""
+    current, dt, basis = _drive(), 1e-3, basis_of("integrated")
+    nominal = replace(_model(), model=_with_deflection())
+    weights = np.random.default_rng(2).normal(size=basis.columns)
+    span = 1e-4 if channel == RESISTANCE else 1e-9
+    fold = basis.fold(weights, span=span)
+    before = nominal.respond(current, dt, effects=changes, fine=False)
+    after = replace(nominal, corrections={channel: fold}).respond(current, dt, effects=changes, fine=False)
+    column = fold(before.temperature)[:, None]
+    film = nominal.respond(current, dt).channels[RESISTANCE] if channel == RESISTANCE else None
+    found = as_sensed(nominal.model.simulation.with_effects(changes), channel, column, dt, film)[:, 0]
+    if "ripple" in next(iter(changes)):
+        assert np.array_equal(found, column[:, 0])
+        return
+    expected = after.channels[channel] - before.channels[channel]
+    late = slice(200, None)
+    assert np.abs(found - expected)[late].max() < 0.02 * np.abs(expected).max()
+    assert np.abs(column[:, 0] - expected)[late].max() > 0.1 * np.abs(expected).max()
 
 
 def test_only_the_last_of_several_steps_is_returned_where_no_more_is_asked_for() -> None:

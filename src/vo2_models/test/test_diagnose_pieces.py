@@ -11,11 +11,12 @@ from vo2_models.diagnosis.breakdown import one_loop, turning_points
 from vo2_models.diagnosis.check import Unusable, check_recording
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.next_experiment import library
-from vo2_models.diagnosis.noise import NoiseModel, fit_noise, level_from_differences, value_step
+from vo2_models.diagnosis.noise import NoiseModel, fit_noise, level_from_differences
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.part import regular
 from vo2_models.diagnosis.report import probabilities
 from vo2_models.diagnosis.result import SCHEMA, validate
+from vo2_models.effects.adc_quantization import value_step
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.recording import Recording
 

@@ -49,6 +49,23 @@ def test_clock(clean, delay):
     assert np.allclose(found[late], expected[late], rtol=1e-9)
 
 
+@pytest.mark.parametrize("channel", [RESISTANCE, TIP_DEFLECTION])
+def test_programs_that_are_given_the_samples(clean, channel):
+    """A moving mean, an exponential one and a shift, as numpy and scipy make them of the samples."""
+    x = clean[channel]
+    late = slice(20, None)
+    found = _with("averaging", signal=channel, window=4 * DT, sampled=1.0)[channel]
+    assert np.allclose(found[late], np.convolve(x, np.full(4, 0.25))[: x.size][late], rtol=1e-9)
+    found = _with("averaging", signal=channel, window=0.5 * DT, sampled=1.0)[channel]
+    assert np.allclose(found, x, rtol=1e-12)
+    keep = 0.6
+    found = _with("sensor_lag", signal=channel, time_constant=-DT / np.log(keep), sampled=1.0)[channel]
+    expected, _ = lfilter([1 - keep], [1, -keep], x, zi=[found[0] - (1 - keep) * x[0]])
+    assert np.allclose(found, expected, rtol=1e-9)
+    found = _with("clock_offset", signal=channel, delay=2.3 * DT, sampled=1.0)[channel]
+    assert np.allclose(found[late], (0.7 * np.roll(x, 2) + 0.3 * np.roll(x, 3))[late], rtol=1e-9)
+
+
 def test_gain_drift(clean):
     found = _with("sensor_gain_drift", signal=TIP_DEFLECTION, rate=0.05)[TIP_DEFLECTION]
     assert np.allclose(found, clean[TIP_DEFLECTION] * (1 + 0.05 * clean.time_s), rtol=1e-12)

@@ -38,6 +38,7 @@ __all__ = [
     "run_chain",
     "see_film",
     "through_linear_structure",
+    "through_sensor",
 ]
 
 COLUMNS = 9
@@ -230,6 +231,17 @@ def through_linear_structure(c, x, series):
         generated.settle_structure(c, x, series[j, 0])
         for k in range(series.shape[1]):
             series[j, k] = generated.linear_structure(c, x, series[j, k], c[C.SAMPLE_PERIOD])
+
+
+@kernel(nogil=True)
+def through_sensor(c, x, channel, series):
+    """Replace each series (k, n) of a channel, in its unit, by what the sensor's effects make of it."""
+    period = c[C.SAMPLE_PERIOD]
+    for j in range(series.shape[0]):
+        generated.settle_sensor(c, x, channel, series[j, 0])
+        for k in range(series.shape[1]):
+            time = c[C.CLOCK] * (k * period)
+            series[j, k] = generated.sensor(c, x, channel, series[j, k], time, period, k, 0.0)
 
 
 @kernel(nogil=True)

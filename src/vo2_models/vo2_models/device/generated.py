@@ -13,6 +13,7 @@ import numba
 
 from vo2_models.device.assembly import source
 from vo2_models.effects import effects
+from vo2_models.effects.record import PLAIN
 
 KERNEL_SOURCES = tuple(record.file for record in effects().values())
 """Files that are part of every kernel which calls one of these functions."""
@@ -29,7 +30,7 @@ def _generate() -> dict[str, Any]:
         f"{record.id}__{hook}": compiled(function)
         for record in effects().values()
         for hook, function in record.hooks.items()
-        if hook not in ("prepare", "delay")
+        if hook not in (*PLAIN, "delay")
     }
     text, place = source(), "<stage functions generated from the effect files>"
     linecache.cache[place] = (len(text), None, text.splitlines(keepends=True), place)

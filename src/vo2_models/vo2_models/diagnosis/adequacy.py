@@ -61,8 +61,7 @@ def adequacy_of(option: Option, limits: Limits) -> Adequacy:
     gain = max(chosen.gain, 0.0)
     share = gain / max(gain + count * remaining, 1e-300)
     left = max(remaining - limits.equation * gain / count, 0.0)
-    evident = any(h.evident for h in chosen.hypotheses)
-    return Adequacy(chosen.keys, share, left, np.inf if evident else sureness(option))
+    return Adequacy(chosen.keys, share, left, sureness(option))
 
 
 def sureness(option: Option) -> float:

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device import PRESETS, preset
-from vo2_models.diagnosis.noise import level_from_differences, value_step
+from vo2_models.diagnosis.noise import level_from_differences
 from vo2_models.diagnosis.nominal import Nominal, judged
+from vo2_models.effects.adc_quantization import value_step
 from vo2_models.identification.plausibility import impossible, unusual
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 

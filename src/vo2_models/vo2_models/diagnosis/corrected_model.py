@@ -98,12 +98,13 @@ def corrected_parameters(study: Study, unnamed: StandIn | None = None) -> dict[s
     unnamed : what stands for an excess without a name
     """
     flat, decision = dict(study.located.nominal.parameters), study.decision
-    if decision.verdict == "agrees":
+    if study.verdict == "agrees":
         return flat
     final, chosen = decision.final, decision.chosen
     if unnamed is not None:
         final, chosen = unnamed.option.final, unnamed.option.chosen
     model = study.located.nominal.model
+    shown = {key: values for evident in study.reading.evident for key, values in evident.effects.items()}
     rest = final.residual - chosen.deviation if chosen else final.residual
     values = final.moved(drift_of(final, rest).weights)
     laws = {"resistance": model.resistance, "deflection": model.deflection}
@@ -114,7 +115,7 @@ def corrected_parameters(study: Study, unnamed: StandIn | None = None) -> dict[s
     zero, gain = values.get("deflection.zero", 0.0), values.get("deflection.gain", 1.0)
     model = replace(
         model,
-        effects={**model.effects, **(chosen.effects if chosen else {})},
+        effects={**model.effects, **(chosen.effects if chosen else {}), **shown},
         scalars={**model.scalars, **{name: values[name] for name in THERMAL if name in values}},
         deflection=_scaled(laws["deflection"], gain, zero),
         # the law is that of -log10 R

@@ -56,8 +56,9 @@ class Decision:
     mimics : effects that would look like that move, best first; none where it is small
     adequacy : of what is named, else of the best option; None where there is no option
     unlike_noise : whether more than noise is left, which nothing predicts
-    equivalent : on a device without body, ids of the effects that explain as much as `chosen` does, best first, its own among
-        them: one of them it is, and `chosen` stands for all; empty where a single effect is named
+    equivalent : keys of the effects of which it is one, best first, that of `chosen` among them, which stands for all; empty
+        where a single effect is named. On a device without body those that explain as much as `chosen` does; elsewhere those
+        that are together as likely as a name has to be, see `report.equally_likely`
     """
 
     verdict: Literal["agrees", "drifted", "differs"]
@@ -171,7 +172,8 @@ def _named(
     """What is named, where it acts, what could stand in its place, and what would tell them apart."""
     final, chosen = option.final, option.chosen
     own = chosen.hypotheses[0].record.id
-    pairs = [(own, name) for name in verdict.equivalent if name != own] or _rival_pairs(
+    alternatives = dict.fromkeys(key.partition(":")[0] for key in verdict.equivalent)
+    pairs = [(own, name) for name in alternatives if name != own] or _rival_pairs(
         chosen, verdict.rivals, verdict.remaining, limits, one_loop=one_loop
     )
     proposal = None
@@ -298,18 +300,21 @@ def _stands_for_constants(option: Option, singles: Sequence[Explanation], limits
 
 
 def _equivalent(option: Option, singles: Sequence[Explanation], limits: Limits) -> tuple[str, ...]:
-    """Ids of the single effects that gain nearly as much as an option, best first, its own among them; empty for it alone.
+    """Keys of the single effects that gain nearly as much as an option, best first, its own among them; empty for it alone.
 
     Beside a device's own misfit a little more gain is no evidence: on one response a lag, an average and a late clock differ
     by less.
     """
-    own = option.chosen.hypotheses[0].record.id
-    gains = {own: option.chosen.gain}
+    chosen = option.chosen
+    gains = {chosen.keys[0]: chosen.gain}
     for single in singles:
-        name = single.hypotheses[0].record.id
-        if name != own and single.gain >= limits.rival_of_misfit * option.chosen.gain:
-            gains[name] = max(gains.get(name, 0.0), single.gain)
-    return tuple(sorted(gains, key=lambda name: -gains[name])) if len(gains) > 1 else ()
+        known = {key.partition(":")[0] for key in gains}  # of one effect on several signals the best
+        if (
+            single.keys[0].partition(":")[0] not in known
+            and single.gain >= limits.rival_of_misfit * chosen.gain
+        ):
+            gains[single.keys[0]] = single.gain
+    return tuple(sorted(gains, key=lambda key: -gains[key])) if len(gains) > 1 else ()
 
 
 def _significant(explanation: Explanation, limits: Limits) -> bool:

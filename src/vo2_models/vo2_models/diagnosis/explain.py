@@ -12,7 +12,7 @@ from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.hypotheses import MAGNITUDE_STEP, Hypothesis
 from vo2_models.diagnosis.problem import LinearisedProblem
 
-__all__ = ["Explanation", "Score", "fit_jointly", "score", "switched"]
+__all__ = ["Explanation", "Score", "either_way", "fit_jointly", "score", "switched"]
 
 Floats = NDArray[np.float64]
 SHORTEST = 0.05
@@ -373,6 +373,27 @@ def fit_jointly(
         tuple(hypotheses), tuple(values), chi, problem.residual_chi_square - chi, covariance, coordinates, change,
         descent.tangent, at_bound, shift, problem.courses,
     )  # fmt: skip
+
+
+def either_way(
+    problem: LinearisedProblem, fit: Explanation, *, tick: Callable[[], None] = lambda: None
+) -> Explanation:
+    """Return the best of the alternatives that effects have, each refitted: a start may be too far off to tell.
+
+    Parameters
+    ----------
+    problem : that it was fitted to
+    fit : with one of them
+    tick : called once per simulation
+    """
+    best = fit
+    for k, hypothesis in enumerate(fit.hypotheses):
+        for name in (n for n in hypothesis.choices if n in fit.values[k]):
+            values = [dict(v) for v in best.values]
+            values[k][name] = 1.0 - values[k][name]
+            other = fit_jointly(problem, fit.hypotheses, values, iterations=BRIEF, tick=tick)
+            best = min(best, other, key=lambda e: e.chi_square)
+    return best
 
 
 def _covariance(

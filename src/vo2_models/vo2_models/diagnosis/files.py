@@ -37,7 +37,7 @@ def write_results(
     diagnosis = assemble_diagnosis(study)
     unnamed = stand_in(study)
     said = [unnamed.in_words()] if unnamed else []
-    if diagnosis.verdict == "differs" and study.decision.chosen is None and not unnamed:
+    if study.decision.verdict == "differs" and study.decision.chosen is None and not unnamed:
         said = [
             "corrected_model.yaml has no correction of what has no name: no term of the catalogue comes near it"
         ]

@@ -7,7 +7,7 @@ more (a frequency from the residual's spectrum, a limit or a step from the value
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from vo2_models.device.coefficients import HUGE
-from vo2_models.diagnosis.noise import value_step
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.effects import Effect, effects
 from vo2_models.effects.record import CHOICE
@@ -37,12 +36,10 @@ ANGLE = "rad"
 """Unit of a phase, which is no magnitude: nothing is neutral about 0."""
 PITCHES = 3
 """Pitches of a ripple that are tried, those which explain most of the residual."""
+MOST_LATE, ENOUGH = 200, 20_000
+"""Longest delay that is looked for sample by sample, below what the ring of a late channel holds; samples that tell it."""
 CRESTS, MOST_CRESTS = 1.5, 100
 """Least and largest number of crests of a ripple over the values that were measured: fewer are a bend, more no start is near."""
-COARSE = 1.2
-"""Noise of a converter over that of the calibration from which the converter is a new one."""
-REPEATED = 8
-"""So often a converter at its limit gives the same value; noise does not."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +52,6 @@ class Hypothesis:
     signal : channel it sits on, empty for none
     starts : starting values of the parameters that are fitted; one that a start leaves out stays neutral
     scales : parameter -> a step that matters
-    evident : whether the values show it by themselves: all on a grid much coarser than the calibration's noise
     fastest : half the sampling rate [Hz]; what oscillates faster is not seen to oscillate
     slowest : longest time constant [s]; what takes longer is seen as a straight line, or not to move
     widest : largest pitch of a ripple, in the signal's unit
@@ -65,7 +61,6 @@ class Hypothesis:
     signal: str
     starts: tuple[Values, ...]
     scales: Values
-    evident: bool = False
     fastest: float = np.inf
     slowest: float = np.inf
     widest: float = np.inf
@@ -91,10 +86,8 @@ class Hypothesis:
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """Parameters that are not fitted: alternatives are tried both ways, an evident step is read off the values."""
-        return tuple(
-            p.name for p in self.record.parameters if p.unit == CHOICE or (self.evident and p.name == "step")
-        )
+        """Parameters that are not fitted: alternatives are tried both ways."""
+        return tuple(p.name for p in self.record.parameters if p.unit == CHOICE)
 
     @property
     def magnitudes(self) -> tuple[str, ...]:
@@ -152,7 +145,7 @@ class Hypothesis:
 
 
 def hypotheses(problem: LinearisedProblem, device: str, residual: Floats) -> list[Hypothesis]:
-    """Return every hypothesis that can show in the recordings' channels.
+    """Return every hypothesis that can show in the recordings' channels, those but that the values show by themselves.
 
     Parameters
     ----------
@@ -168,13 +161,14 @@ def hypotheses(problem: LinearisedProblem, device: str, residual: Floats) -> lis
         for signal in record.signals(device):
             if not measured & set(record.reaches(device, signal)):
                 continue
+            if any((record.id, signal) in part.evident for part in problem.parts):
+                continue
             starts, scales = _starts(problem, record, signal, device, residual)
             if starts:
-                on_grid = "step" in scales and _coarser_than_before(problem, signal)
                 fastest = 0.5 / max(part.dt for part in problem.parts)
                 slowest = SLOWEST * max(part.size * part.dt for part in problem.parts)
                 widest = float(np.ptp(_values(problem, signal))) / CRESTS if signal else np.inf
-                one = Hypothesis(record, signal, tuple(starts), scales, on_grid, fastest, slowest, widest)
+                one = Hypothesis(record, signal, tuple(starts), scales, fastest, slowest, widest)
                 inside = tuple(
                     {n: min(v, one.bounds(n)[1]) if one.logarithmic(n) else v for n, v in start.items()}
                     for start in starts
@@ -209,18 +203,6 @@ def windowed(problem: LinearisedProblem, hypothesis: Hypothesis, residual: Float
     )
 
 
-def _coarser_than_before(problem: LinearisedProblem, signal: str) -> bool:
-    """Whether the values lie on a grid that the calibration's noise cannot have come from.
-
-    A converter alone makes a noise of step / sqrt(12).
-    """
-    return any(
-        float(np.median(part.comb_level(signal))) > COARSE * problem.nominal.noise[signal].level
-        for part in problem.parts
-        if signal in part.comb
-    )
-
-
 def _starts(
     problem: LinearisedProblem, record: Effect, signal: str, device: str, residual: Floats
 ) -> tuple[list[dict[str, float]], dict[str, float]]:
@@ -234,14 +216,8 @@ def _starts(
             seen = _values(problem, signal or HEATER_CURRENT)
             spread = float(np.ptp(seen))
             upper = _neutral(p) > 0
-            end = float(np.max(seen) if upper else np.min(seen))
-            if signal:  # a converter repeats its end value exactly, noise and all
-                if np.count_nonzero(seen == end) < REPEATED:
-                    continue
-                ends = np.array([end])
-            else:
-                inside = np.array(INSIDE)
-                ends = np.quantile(seen, inside if upper else 1.0 - inside)
+            inside = np.array(INSIDE)
+            ends = np.quantile(seen, inside if upper else 1.0 - inside)
             starts += [{p.name: float(end)} for end in dict.fromkeys(ends.tolist())]
             scales[p.name] = 0.02 * spread
         return starts, scales
@@ -271,6 +247,8 @@ def _starts(
                 [middle] if sum(q.unit != CHOICE for q in free) > 1 else [0.4 * middle, 2.0 * middle]
             )
             scales[p.name] = MAGNITUDE_STEP * middle
+            if p.name == "delay":  # far from the true one nothing leads to it
+                grids[p.name] += _lateness(problem, record.reaches(device, signal))
         elif middle:
             # beside a frequency that the residual tells, the rest matters less; by itself, nothing helps a start far off
             alone = int(np.ceil(np.log2(9.0 * high / low))) + 1
@@ -280,10 +258,6 @@ def _starts(
         else:
             grids[p.name] = [_neutral(p)]
             scales[p.name] = 0.05
-    if "step" in grids and signal:
-        step = value_step(_values(problem, signal))
-        if step:
-            grids["step"] = [step]
     for p in free:
         if scales[p.name] == 0.0:  # a magnitude without typical value: what the whole recording makes visible
             length = max(part.time_s[-1] - part.time_s[0] for part in problem.parts)
@@ -373,6 +347,27 @@ def _frequencies(
             if len(found) >= 6:
                 break
     return found
+
+
+def _lateness(problem: LinearisedProblem, channels: Sequence[str]) -> list[float]:
+    """Delay [s] of whole samples at which the simulation is nearest to these channels; none where they are not late.
+
+    Squared distance over the noise of the measured values from the simulated ones, which are `MOST_LATE` samples older at most.
+    """
+    misfit = np.zeros(MOST_LATE + 1)
+    for row, part, response in problem.iterate():
+        if row.channel not in channels:
+            continue
+        counts = np.flatnonzero(problem.weight[row.where] > 0)
+        counts = counts[:: max(1, counts.size // ENOUGH)]
+        measured, simulated = part.observed[row.channel][counts], response.channels[row.channel]
+        noise = problem.nominal.noise[row.channel].level
+        for late in range(MOST_LATE + 1):
+            misfit[late] += (
+                float(np.sum((measured - simulated[np.maximum(counts - late, 0)]) ** 2)) / noise**2
+            )
+    best = int(np.argmin(misfit))
+    return [best * max(part.dt for part in problem.parts)] if best else []
 
 
 def _is_pitch(parameter: Parameter, record: Effect) -> bool:

@@ -39,9 +39,15 @@ class Limits:
         "least drop of chi-square of a named effect: the largest on some fifty effect-free recordings of the own "
         "simulator was 329",
     )
-    evident_gain: float = _limit(
-        25.0,
-        "the same of an effect that the values show by themselves, as those of a coarse converter do: 5 sigma",
+    coarse: float = _limit(
+        1.2,
+        "what a converter that the values show by themselves changes, over the calibration's noise, from which it is new: a "
+        "converter alone makes a noise of its step over the root of 12",
+    )
+    seen: float = _limit(
+        0.99,
+        "probability of an effect that the values show by themselves: chance puts no thousand values on a comb, but a program "
+        "behind the converter may",
     )
     sigmas: float = _limit(
         4.0,
@@ -95,6 +101,11 @@ class Limits:
         0.3,
         "probability that an explanation is wrong up to which it is named: of the 114 above, each family by coefficients of "
         "the others, 46 right ones and 6 wrong ones, 2 of these siblings that the recordings do not tell apart",
+    )
+    credible: float = _limit(
+        0.9,
+        "of effects none of which is more likely than everything else together, the fewest that are together this share of all "
+        "that have a name are told, without choosing: an ordinary credible set",
     )
     dominated: float = _limit(
         0.5,
@@ -168,10 +179,6 @@ class Limits:
         8.0,
         "predicted distance of two explanations, in standard deviations, from which an experiment is worth proposing",
     )
-
-    def least_gain(self, *, evident: bool) -> float:
-        """Least drop of chi-square with which a hypothesis is named."""
-        return self.evident_gain if evident else self.gain
 
     def probability_of_something_else(self, sigmas: float, left: float) -> float:
         """Return the probability that an explanation is wrong.

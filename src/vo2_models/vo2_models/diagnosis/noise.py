@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter, lfiltic
 
-__all__ = ["LONGEST", "NoiseModel", "fit_noise", "level_from_differences", "samples_apart", "value_step"]
+__all__ = ["LONGEST", "NoiseModel", "fit_noise", "level_from_differences", "samples_apart"]
 
 Floats = NDArray[np.float64]
 LONGEST = 4
@@ -140,25 +140,6 @@ def level_from_differences(x: Floats) -> float:
     if second.size == 0:
         return 0.0
     return float(np.median(np.abs(second)) / (0.674490 * np.sqrt(6.0)))
-
-
-def value_step(values: Floats) -> float:
-    """Return the distance of neighbouring values if all lie on a comb, else 0.
-
-    A comb is told from chance by values that repeat and lie, all of them, at multiples of one distance.
-
-    Parameters
-    ----------
-    values : (n,) finite
-    """
-    distinct = np.unique(values)
-    if distinct.size < 3 or distinct.size > 0.8 * values.size:
-        return 0.0
-    gaps = np.diff(distinct)
-    gaps = gaps[gaps > 1e-6 * np.max(gaps)]
-    step = float(np.median(gaps[gaps < 1.5 * np.min(gaps)]))
-    place = distinct / step
-    return step if float(np.max(np.abs(place - np.rint(place)))) < 0.05 else 0.0
 
 
 def fit_noise(

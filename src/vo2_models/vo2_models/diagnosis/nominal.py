@@ -16,6 +16,7 @@ from vo2_models.device.simulation import Simulation, longest_lag
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.propagate_correction import Film, corrected_film, film_alone, propagate_correction
 from vo2_models.effects import effects
+from vo2_models.effects.record import SAMPLED
 from vo2_models.identification.digest import CalibrationDigest
 from vo2_models.identification.enrichment import Correction, EnrichmentBasis
 from vo2_models.model_file import load_model_parameters
@@ -318,6 +319,8 @@ def _between_samples(chain: Simulation, dt: float) -> bool:
     for key in chain.active():
         block = blocks()[key]
         record = effects()[block.effect]
+        if SAMPLED.name in block.places and chain.coefficients[block.places[SAMPLED.name]] > 0.5:
+            continue
         tones = [chain.coefficients[block.places[p.name]] for p in record.parameters if p.unit == "Hz"]
         if record.between_samples or any(tone * dt > RINGING for tone in tones):
             return True

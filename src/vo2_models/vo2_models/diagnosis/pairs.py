@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.diagnosis.courses import with_courses
-from vo2_models.diagnosis.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
+from vo2_models.diagnosis.explain import BRIEF, Explanation, Score, either_way, fit_jointly, score, switched
 from vo2_models.diagnosis.hypotheses import Hypothesis, windowed
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nominal import Nominal
@@ -39,6 +39,8 @@ REFITS = 5
 """So often, at most, the nominal device is linearised about what a refit made of it."""
 SETTLES = 2e-3
 """Drop of chi-square, in noise powers, that ends these refits."""
+FAR = 1.0
+"""Move of a constant, in units of what the simulation is linear over, from which an effect is also fitted with none moved."""
 FREE = 20.0
 """Standard deviation with which the parameters of the other may move while partners are scored, in their steps."""
 
@@ -111,27 +113,41 @@ def refit_about(
     best : the explanation
     tick : called once per simulation
     """
-    final, again = problem, best
-    for turn in range(1 + REFITS * problem.refits):
-        rest = final.residual - again.deviation
-        loops = final.loop_weights(final.fit_nuisance(rest)) if problem.refits else {}
-        about = linearise_problem(
+
+    def about(
+        shift: Floats, fit: Explanation, final: LinearisedProblem
+    ) -> tuple[LinearisedProblem, Explanation]:
+        rest = final.residual - fit.deviation
+        there = linearise_problem(
             nominal,
             problem.parts,
-            # fitted with constants as the calibration left them, perhaps: those that drift come last
-            shift=np.pad(again.shift, (0, problem.origin.size - again.shift.size)),
+            shift=shift,
             constants=problem.constants,
-            effects=again.effects,
+            effects=fit.effects,
             shapes=problem.shapes,
             loops=final.loops,
-            loop_origin=loops,
+            loop_origin=final.loop_weights(final.fit_nuisance(rest)) if problem.refits else {},
             refits=problem.refits,
         )
-        about = with_courses(about, [h for h in best.hypotheses if h.key in best.courses])
-        fitted = fit_jointly(about, best.hypotheses, again.values, iterations=6, tick=tick)
-        if turn and fitted.chi_square > again.chi_square - SETTLES * about.count:
+        there = with_courses(there, [h for h in best.hypotheses if h.key in best.courses])
+        fit = fit_jointly(there, best.hypotheses, fit.values, iterations=6, tick=tick)
+        return there, either_way(there, fit, tick=tick)
+
+    final, again = problem, best
+    turns, turn = 1 + REFITS * problem.refits, 0
+    while turn < turns:
+        # fitted with constants as the calibration left them, perhaps: those that drift come last
+        shift = np.pad(again.shift, (0, problem.origin.size - again.shift.size))
+        tried = [about(shift, again, final)]
+        if not turn and problem.curved(shift) > FAR and not problem.refits:
+            # constants that went far to stand for the effect need not find back
+            tried.append(about(np.zeros_like(shift), again, final))
+            turns = 2
+        there, fitted = min(tried, key=lambda one: one[1].chi_square)
+        if turn and fitted.chi_square > again.chi_square - SETTLES * there.count:
             break
-        final, again = about, fitted
+        final, again = there, fitted
+        turn += 1
     return final, replace(again, gain=problem.residual_chi_square - again.chi_square)
 
 
@@ -185,7 +201,7 @@ def pair_of(
     found.sort(key=lambda item: item[1].chi_square)
     where, best = _simplest(found, limits)
     drop = before - best.chi_square
-    if drop < min(limits.least_gain(evident=h.evident) for h in best.hypotheses):
+    if drop < limits.gain:
         return None
     if drop < limits.second * max(first.gain, 0.0) and _cosine(where, best) > limits.second_cosine:
         return None
@@ -224,7 +240,7 @@ def _joined(
     free = [FREE * first.tangent, *([] if about.nuisance.courses is None else [about.nuisance.courses])]
     nuisance = replace(about.nuisance, courses=np.hstack(free))
     scores = score(replace(about, nuisance=nuisance), others, residual, tick=tick)
-    promising = [s for s in scores if s.gain > _least(s, scores, limits)][:PARTNERS]
+    promising = [s for s in scores if s.gain > max(limits.gain, 0.1 * scores[0].gain)][:PARTNERS]
 
     def refitted(s: Score) -> Explanation:
         start = switched(about, s.hypothesis, s.start, residual, tick=tick)
@@ -252,12 +268,6 @@ def _simplest(
     close = lowest + limits.rival + limits.tie * max(lowest - found[0][0].count, 0.0)
     near = [(about, joint) for about, joint in found if joint.chi_square <= close]
     return min(near, key=lambda item: (len(item[1].coordinates), item[1].chi_square))
-
-
-def _least(one: Score, scores: Sequence[Score], limits: Limits) -> float:
-    """Score from which a partner is refitted."""
-    least = limits.least_gain(evident=one.hypothesis.evident)
-    return least if one.hypothesis.evident else max(least, 0.1 * scores[0].gain)
 
 
 def _cosine(about: LinearisedProblem, joint: Explanation) -> float:

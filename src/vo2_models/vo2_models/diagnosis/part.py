@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from vo2_models.device import preset
 from vo2_models.diagnosis.check import JITTERED, SHORTEST, jitter_of
 from vo2_models.diagnosis.current_reading import as_commanded
-from vo2_models.diagnosis.noise import value_step
 from vo2_models.diagnosis.nominal import Nominal, drive_of, judged
+from vo2_models.effects import effects
+from vo2_models.effects.adc_quantization import value_step
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
 
 __all__ = ["Part", "prepare", "regular"]
@@ -42,6 +43,8 @@ class Part:
     comb : channel -> distance of neighbouring values, where its converter is coarser than its noise
     blind : gaps so long that the film may have been anywhere meanwhile, each from its first to behind its last sample
     read_late : whether a current that is read back may stand for any moment of its sample; False once it shows for which
+    evident : id of an effect and channel -> its parameters, where the values show them by themselves
+    flat : id -> channel -> (n,) samples that say no more than that the true value is beyond; they do not count
     """
 
     name: str
@@ -55,6 +58,8 @@ class Part:
     comb: Mapping[str, float] = field(default_factory=dict)
     blind: tuple[tuple[int, int], ...] = ()
     read_late: bool = True
+    evident: Mapping[tuple[str, str], Mapping[str, float]] = field(default_factory=dict)
+    flat: Mapping[str, Mapping[str, NDArray[np.bool_]]] = field(default_factory=dict)
 
     def comb_level(self, channel: str) -> Floats | float:
         """Standard deviation that a coarse converter adds, in judged units: step / sqrt(12)."""
@@ -150,8 +155,32 @@ def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") 
         size = step / (np.log(10) * float(np.quantile(raw, 0.1))) if channel == RESISTANCE else step
         if channel in nominal.noise and size > 2.0 * nominal.noise[channel].level:
             comb[channel] = step
-    dt = recording.sample_period_s
-    return Part(name, recording.time_s, dt, current, tuple(observed), observed, valid, comb=comb, blind=blind)
+    evident, flat = _evident(recording, valid)
+    for masks in flat.values():
+        valid |= {channel: valid[channel] & ~mask for channel, mask in masks.items()}
+    return Part(
+        name, recording.time_s, recording.sample_period_s, current, tuple(observed), observed, valid,
+        comb=comb, blind=blind, evident=evident, flat=flat,
+    )  # fmt: skip
+
+
+def _evident(
+    recording: Recording, valid: Mapping[str, NDArray[np.bool_]]
+) -> tuple[dict[tuple[str, str], Mapping[str, float]], dict[str, dict[str, NDArray[np.bool_]]]]:
+    """What the values of each channel show by themselves, see `Part.evident` and `Part.flat`."""
+    found: dict[tuple[str, str], Mapping[str, float]] = {}
+    flat: dict[str, dict[str, NDArray[np.bool_]]] = {}
+    for record in effects().values():
+        for channel in (c for c in valid if c in record.channels and "evident" in record.hooks):
+            shown = record.hooks["evident"](recording[channel][valid[channel]])
+            if shown is None:
+                continue
+            found[record.id, channel] = shown[0]
+            if np.any(shown[1]):
+                mask = np.zeros(valid[channel].shape, dtype=bool)
+                mask[valid[channel]] = shown[1]
+                flat.setdefault(record.id, {})[channel] = mask
+    return found, flat
 
 
 def _longest_blind(logged: Floats, nominal: Nominal, dt: float) -> tuple[tuple[int, int], ...]:

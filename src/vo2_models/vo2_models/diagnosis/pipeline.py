@@ -17,7 +17,7 @@ from vo2_models.diagnosis.locate import locate
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.progress import Clock, Progress
 from vo2_models.diagnosis.read import read
-from vo2_models.diagnosis.report import assemble_diagnosis, unlikely
+from vo2_models.diagnosis.report import assemble_diagnosis, equally_likely, unlikely
 from vo2_models.diagnosis.result import Diagnosis
 from vo2_models.diagnosis.search import search
 from vo2_models.diagnosis.stages import Study
@@ -92,6 +92,8 @@ def study(
         found = search(located, limits, clock, one_loop=reading.one_loop, first_use=reading.first_use)
         decision = decide(located, found, reading, limits, clock)
         answer = Study(reading, located, found, decision, limits, 0.0)
+        decision = replace(decision, equivalent=equally_likely(answer))
+        answer = replace(answer, decision=decision)
         if unlikely(answer):
             decision = without_a_name(decision, located, found, reading, limits, clock)
     return replace(answer, decision=decision, seconds=time.perf_counter() - began)

@@ -28,9 +28,9 @@ from vo2_models.diagnosis.nominal import Nominal, Response
 from vo2_models.diagnosis.nuisance import Constant, constants_of, law_columns
 from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.part import Part
-from vo2_models.diagnosis.propagate_correction import through_structure
+from vo2_models.diagnosis.propagate_correction import as_sensed
 from vo2_models.diagnosis.tangent import Tangent
-from vo2_models.recording import HEATER_CURRENT, TIP_DEFLECTION
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE
 
 __all__ = ["LinearisedProblem", "LoopColumns", "Row", "linearise_problem"]
 
@@ -402,10 +402,11 @@ def _loop_coupling(problem: LinearisedProblem) -> Floats:
             if shape is None or constant.drifts or constant.name not in shape.by_lag:
                 continue
             weights = constant.spread * shape.by_lag[constant.name]
-            change = shape.basis.fold(weights, span=shape.span)(response.temperature)
-            if row.channel == TIP_DEFLECTION:
-                change = through_structure(simulation, change[:, None], part.dt)[:, 0]
-            out[row.where, place] = problem.whiten(row, change)
+            change = shape.basis.fold(weights, span=shape.span)(response.temperature)[:, None]
+            film = _at_sensor(problem.nominal, row.channel, part, problem.included)
+            out[row.where, place] = problem.whiten(
+                row, as_sensed(simulation, row.channel, change, part.dt, film)[:, 0]
+            )
     return out
 
 
@@ -512,12 +513,20 @@ def _whitened(
         whiten = [w for row, w in zip(rows, whitening, strict=True) if row.channel == channel]
         block = []
         for raw, row, w in zip(columns.raw, own, whiten, strict=True):
-            seen = (
-                through_structure(simulation, raw, parts[row.part].dt) if channel == TIP_DEFLECTION else raw
-            )
-            block.append(w(seen))
+            part = parts[row.part]
+            film = _at_sensor(nominal, channel, part, effects)
+            block.append(w(as_sensed(simulation, channel, raw, part.dt, film)))
         blocks.append((slice(own[0].where.start, own[-1].where.stop), np.concatenate(block)))
     return tuple(blocks)
+
+
+def _at_sensor(nominal: Nominal, channel: str, part: Part, effects: Effects) -> Floats | None:
+    """log10 R (n,) before a sensor that effects have made slow or late; None for another channel or without such effects."""
+    suffix = f":{RESISTANCE}"
+    if channel != RESISTANCE or not any(key.endswith(suffix) for key in effects):
+        return None
+    others = {key: values for key, values in effects.items() if not key.endswith(suffix)}
+    return nominal.respond(part.current, part.dt, effects=others, settled=part.settled).channels[RESISTANCE]
 
 
 def _sampled_gram(block: Floats, sample: int = 6000) -> Floats:

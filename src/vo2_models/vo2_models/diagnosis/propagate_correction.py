@@ -16,14 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device.assembly import state_size
-from vo2_models.device.chain import finish_film, late_correction, see_film, through_linear_structure
-from vo2_models.device.coefficients import Sensor, blocks, neutral, sensor_index
+from vo2_models.device.chain import (
+    finish_film,
+    late_correction,
+    see_film,
+    through_linear_structure,
+    through_sensor,
+)
+from vo2_models.device.coefficients import CHANNELS, Sensor, blocks, neutral, sensor_index
 from vo2_models.device.simulation import Simulation
 from vo2_models.effects import effects
 from vo2_models.identification.enrichment import Correction
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
-__all__ = ["Film", "corrected_film", "film_alone", "propagate_correction", "through_structure"]
+__all__ = ["Film", "as_sensed", "corrected_film", "film_alone", "propagate_correction"]
 
 Floats = NDArray[np.float64]
 _FILM_CHANNELS = (RESISTANCE, TIP_DEFLECTION)
@@ -126,19 +132,45 @@ def propagate_correction(simulation: Simulation, film: Film, dt: float, *, every
     return result
 
 
-def through_structure(simulation: Simulation, columns: Floats, dt: float) -> Floats:
-    """Return deflections (n, k) [m] as they are behind the structure: a creeping one, or one with a mode, keeps them on.
+def as_sensed(
+    simulation: Simulation, channel: str, columns: Floats, dt: float, film: Floats | None = None
+) -> Floats:
+    """Return changes (n, k) of the film as its channel shows them: a late or slow sensor shows them late or slowly.
+
+    Structure and sensors that are linear count; behind others a change stays as it is.
 
     Parameters
     ----------
     simulation : with effects
-    columns : (n, k) one deflection a column, from a long rest [m]
+    channel : resistance, in log10 ohm, or deflection [m]
+    columns : (n, k) one change a column, from a long rest
     dt : sample period [s]
+    film : (n,) log10 R at the sensor's input, for a resistance: d log10 S[R] = S[R d log10 R] / S[R]
     """
+    if channel == TIP_DEFLECTION:
+        columns = _through_structure(simulation, columns, dt)
+    records = [effects()[key.partition(":")[0]] for key in simulation.active() if key.endswith(f":{channel}")]
+    if not records or not all(record.linear for record in records):
+        return columns
+    c, place = simulation.prepared(dt, straight=True), CHANNELS.index(channel)
+
+    def sensed(series: Floats) -> Floats:
+        out = np.array(series.T, order="C")
+        through_sensor(c, np.zeros(state_size()), place, out)
+        return np.ascontiguousarray(out.T)
+
+    if film is None:
+        return sensed(columns)
+    level = 10.0 ** film[:, None]
+    return sensed(level * columns) / sensed(level)
+
+
+def _through_structure(simulation: Simulation, columns: Floats, dt: float) -> Floats:
+    """Deflections (n, k) [m] as they are behind the structure: a creeping one, or one with a mode, keeps them on."""
     if not any(effects()[key].stage == "structure" for key in simulation.active() if ":" not in key):
         return columns
     # a column turns too often from sample to sample to go the way of the heat in between: straight is nearer
     c = simulation.prepared(dt, straight=True)
-    out = np.ascontiguousarray(columns.T)
+    out = np.array(columns.T, order="C")
     through_linear_structure(c, np.zeros(state_size()), out)
     return np.ascontiguousarray(out.T)

@@ -12,6 +12,7 @@ from scipy.optimize import minimize_scalar
 from vo2_models.diagnosis.breakdown import one_loop
 from vo2_models.diagnosis.check import SHORTEST, Finding, Unusable, check_recording
 from vo2_models.diagnosis.consistency import check_consistency
+from vo2_models.diagnosis.evident import Evident, evident_effects
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.loop_shape import LoopShape, loop_shapes, open_shapes
 from vo2_models.diagnosis.nominal import Nominal, Response, loop_ends
@@ -54,6 +55,7 @@ class Reading:
     one_loop : whether the film went over one loop only, on which many effects look alike
     constants : that a refit may move
     calibrations : number of the first parts that are calibrations, 0 where the model file stands for them
+    evident : effects that the values show by themselves and the simulation lacks
     """
 
     nominal: Nominal
@@ -63,6 +65,7 @@ class Reading:
     one_loop: bool
     constants: tuple[Constant, ...]
     calibrations: int = 0
+    evident: tuple[Evident, ...] = ()
 
     @property
     def first_use(self) -> bool:
@@ -116,6 +119,7 @@ def read(
     findings += stamps
     started = [_detect_initial_state(part, corrected) for part in parts]
     check_consistency(started, nominal, calibrations)
+    evident = evident_effects(started, corrected, limits, first_use=calibrations > 0)
     parts, findings = _mask_after_gaps(started, nominal, findings)
     paths = [response.temperature for _, response in started]
     covered = coverage_of(paths) if calibrations else coverage(nominal)
@@ -124,7 +128,9 @@ def read(
     if repeating:
         findings = [*findings, ONE_LOOP]
     constants = refitted_constants(nominal) if calibrations else constants_of(nominal)
-    return Reading(nominal, shapes, tuple(parts), tuple(findings), repeating, constants, calibrations)
+    return Reading(
+        nominal, shapes, tuple(parts), tuple(findings), repeating, constants, calibrations, evident
+    )
 
 
 def _restamped(parts: Sequence[Part], nominal: Nominal, limits: Limits) -> tuple[list[Part], list[Finding]]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.breakdown import locate
 from vo2_models.diagnosis.check import limits_in_words
+from vo2_models.diagnosis.evident import Evident, located_with
 from vo2_models.diagnosis.explain import Explanation
 from vo2_models.diagnosis.families import family_of_unnamed
 from vo2_models.diagnosis.hypotheses import Hypothesis
@@ -22,6 +23,7 @@ from vo2_models.diagnosis.result import (
     ChannelFit,
     Diagnosis,
     Estimate,
+    Location,
     MovedConstant,
     NamedEffect,
 )
@@ -30,9 +32,13 @@ from vo2_models.diagnosis.stages import Study
 from vo2_models.effects.record import CHOICE
 from vo2_models.recording import TIP_DEFLECTION
 
-__all__ = ["MODEL_DISCREPANCY", "assemble_diagnosis", "probabilities", "unlikely"]
+__all__ = ["MODEL_DISCREPANCY", "assemble_diagnosis", "equally_likely", "probabilities", "unlikely"]
 
 Floats = NDArray[np.float64]
+LOST = 2.0
+"""So many times its chi-square may an explanation leave in the problem without effects to be compared with others there."""
+EXACT = 1e-3
+"""Standard deviation of a parameter that is read off the values, as a share of it: a generous rounding of what is written."""
 MODEL_DISCREPANCY = {
     "driver": 0.03,
     "thermal": 0.085,
@@ -51,26 +57,26 @@ of seeds that no published figure comes from.
 
 def assemble_diagnosis(study: Study) -> Diagnosis:
     """Return the diagnosis that a study supports."""
-    decision = study.decision
+    decision, verdict = study.decision, study.verdict
     candidates, probability = _candidates(study) if decision.verdict == "differs" else ([], {})
     effects = _named(study, probability) if decision.verdict == "differs" else []
     if decision.equivalent:
         effects = [_one_of(study, effects[0])]
+    shown = [_shown(study, evident) for evident in study.reading.evident]
+    candidates = [*(_seen(study, evident) for evident in study.reading.evident), *candidates]
     pairs = [list(pair) for pair in decision.rival_pairs]
     return Diagnosis(
-        verdict=decision.verdict,
+        verdict=verdict,
         moved=_moved(study),
-        location=[] if decision.verdict == "agrees" else locate(decision.final, decision.breakdown),
-        effects=effects,
+        location=_location(study),
+        effects=[*shown, *effects],
         candidates=candidates,
         fit=_fit(study),
         indistinguishable=pairs,
         next_experiment=decision.proposal,
-        summary=_summary(study, effects, pairs),
+        summary=_shown_in_words(study, shown) + _summary(study, effects, pairs),
         limits=[*limits_in_words(study.reading.findings), *_by_recording(study), *_mimics(study)],
-        not_excited=list(study.search.not_excited)
-        if decision.verdict != "agrees" or study.reading.first_use
-        else [],
+        not_excited=list(study.search.not_excited) if verdict != "agrees" or study.reading.first_use else [],
         excess=_excess(study),
         seconds=study.seconds,
         decision_limits=study.limits.with_provenance(),
@@ -229,6 +235,28 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
     return sorted([*found[:11], unknown], key=lambda c: -c.probability), by_key
 
 
+def equally_likely(study: Study) -> tuple[str, ...]:
+    """Return the keys of the effects of which the answer is one, likeliest first; none where one of them can be named.
+
+    A single name must be more likely than everything else together. Where it is not, but more likely than something that is in
+    no catalogue, the fewest effects that hold most of the probability are told in its place.
+
+    Parameters
+    ----------
+    study : what the stages found
+    """
+    chosen = study.decision.chosen
+    if chosen is None or len(chosen.keys) > 1 or not study.located.problem.nominal.model.description.has_body:
+        return study.decision.equivalent
+    probability = _candidates(study)[1]
+    if not _something_else(study) < probability[chosen.keys[0]] <= 0.5:
+        return ()
+    order = sorted(probability, key=lambda key: (-probability[key], key != chosen.keys[0]))
+    held = np.cumsum([probability[key] for key in order])
+    most = order[: int(np.searchsorted(held, study.limits.credible * held[-1])) + 1]
+    return tuple(most) if len({key.partition(":")[0] for key in most}) > 1 and chosen.keys[0] in most else ()
+
+
 def unlikely(study: Study) -> bool:
     """Return whether something else than what is named is more likely than a name.
 
@@ -273,8 +301,12 @@ def _weights(study: Study, everyone: Sequence[Explanation], chi: Sequence[float]
     change = _change(problem, same)
     dearer = costs - np.array(chi)
     odds = [
-        odds_of_rival(problem, change, _change(problem, rival), dearer=more)
+        # a fit about itself may be far beyond what the simulation is linear over here: its chi-square is all that counts then
+        odds_of_rival(problem, change, other, dearer=more)
+        if all(_holds(problem, *each) for each in ((same, change), (rival, other)))
+        else 0.0
         for rival, more in zip(everyone[1:], dearer[1:] - dearer[0], strict=True)
+        for other in [_change(problem, rival)]
     ]
     weights = np.maximum(weights / weights[0], [1.0, *odds])
     return np.asarray(weights / np.sum(weights))
@@ -286,6 +318,11 @@ def _change(problem: LinearisedProblem, explanation: Explanation) -> Floats:
         return explanation.deviation
     shift = np.pad(explanation.shift, (0, problem.origin.size - explanation.shift.size))
     return problem.deviation(explanation.effects, shift)
+
+
+def _holds(problem: LinearisedProblem, explanation: Explanation, change: Floats) -> bool:
+    """Whether a change (N,) of the simulation leaves here what its explanation leaves where it was fitted, or not much more."""
+    return problem.chi_square(problem.residual - change) < LOST * explanation.chi_square
 
 
 def _something_else(study: Study) -> float:
@@ -334,6 +371,58 @@ def _why_not(study: Study, explanation: Explanation) -> str:
     return f"explains {100 * gained:.0f} % of the excess; worse than the answer by {worse:.0f} standard deviations"
 
 
+def _location(study: Study) -> list[Location]:
+    """Where recording and simulation differ."""
+    decision = study.decision
+    places = [] if decision.verdict == "agrees" else locate(decision.final, decision.breakdown)
+    if not study.reading.evident:
+        return places
+    return located_with(study.reading.evident, places, sum(max(b.excess, 0.0) for b in decision.breakdown))
+
+
+def _shown(study: Study, evident: Evident) -> NamedEffect:
+    """An effect that the values show by themselves, its parameters as exact as they are written."""
+    unit = {"log10 ohm": "ohm"}.get(JUDGED_UNIT[evident.signal], JUDGED_UNIT[evident.signal])
+    record = evident.record
+    return NamedEffect(
+        record.id,
+        study.limits.seen,
+        record.statement,
+        record.equation,
+        {name: Estimate(value, EXACT * abs(value), unit) for name, value in evident.values.items()},
+        evident.signal,
+        record.family(evident.signal),
+        "shown by the values themselves",
+    )
+
+
+def _seen(study: Study, evident: Evident) -> Candidate:
+    """The same as a candidate: what it explains is told for the samples at which it acts."""
+    size = study.located.nominal.span[evident.signal]
+    explained = 1.0 - (evident.after / evident.before) ** 2 if evident.before > 0.0 else 0.0
+    return Candidate(
+        evident.record.id,
+        study.limits.seen,
+        {evident.signal: evident.after / size},
+        evident.signal,
+        explained_share=float(np.clip(explained, 0.0, 1.0)),
+    )
+
+
+def _shown_in_words(study: Study, shown: Sequence[NamedEffect]) -> str:
+    """What the values show, a sentence for each effect, before what is said of everything else."""
+    words = ""
+    for evident, effect in zip(study.reading.evident, shown, strict=True):
+        told = ", ".join(f"{name} {p.value:.5g} {p.unit}" for name, p in effect.parameters.items())
+        size = study.located.nominal.span[evident.signal]
+        words += (
+            f"The values of {study.located.nominal.model.description.names.get(evident.signal, evident.signal)} show "
+            f"{effect.id} by themselves ({told}; {100 * evident.share:.3g} % of the samples): left out, and with it the error "
+            f"there falls from {100 * evident.before / size:.3g} to {100 * evident.after / size:.3g} % of the range. "
+        )
+    return words + ("Beside it: " if words else "")
+
+
 def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
     found = []
     if study.decision.chosen is not None:
@@ -379,9 +468,9 @@ def _one_of(study: Study, best: NamedEffect) -> NamedEffect:
     The family is that of most of them, of equally many that of the best. Of one loop and its sensor no structure and no film
     can be told: what is theirs is the sensor's, see `families.OF_ONE_LOOP`.
     """
-    equivalent = study.decision.equivalent
-    every = {h.record.id: h for h in study.search.candidates}
-    families = [every[name].record.family(every[name].signal) for name in equivalent]
+    every = {h.key: h for h in study.search.candidates}
+    families = [every[key].record.family(every[key].signal) for key in study.decision.equivalent]
+    equivalent = _ids(study.decision.equivalent)
     if study.located.problem.nominal.model.description.is_one_loop:
         excess = study.located.excess
         sensor = f"sensor:{max(excess, key=lambda channel: excess[channel])}"
@@ -396,8 +485,13 @@ def _one_of(study: Study, best: NamedEffect) -> NamedEffect:
         best.signal,
         max(families, key=families.count),
         "one of several",
-        list(equivalent),
+        equivalent,
     )
+
+
+def _ids(keys: Sequence[str]) -> list[str]:
+    """Ids of effects, each once."""
+    return list(dict.fromkeys(key.partition(":")[0] for key in keys))
 
 
 def _form(hypothesis: Hypothesis, chosen: Explanation, index: int) -> str:
@@ -536,7 +630,7 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     tail = f" {lead}: {moved}." if moved else ""
     if decision.equivalent:
         return (
-            f"{head} Left out: one of {', '.join(decision.equivalent)}; these recordings do not tell which. Most of them are "
+            f"{head} Left out: one of {', '.join(effects[0].siblings)}; these recordings do not tell which. Most of them are "
             f"of the family {effects[0].family}.{tail}"
         )
     names = [e.id + (f" on {e.signal}" if e.signal else "") for e in effects if e.id != "unknown"]

@@ -11,7 +11,7 @@ from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.absorbed import without_absorbed
 from vo2_models.diagnosis.courses import course_columns, gain_of_course, knots_of, with_courses
 from vo2_models.diagnosis.drift import drift_of
-from vo2_models.diagnosis.explain import BRIEF, Explanation, Score, fit_jointly, score, switched
+from vo2_models.diagnosis.explain import BRIEF, Explanation, Score, either_way, fit_jointly, score, switched
 from vo2_models.diagnosis.hypotheses import Hypothesis, hypotheses
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import Located
@@ -160,7 +160,8 @@ def _refitted(
 
     def briefly(s: Score) -> Explanation:
         start = switched(problem, s.hypothesis, s.start, problem.residual, tick=clock.tick)
-        return fit_jointly(problem, [s.hypothesis], [start], iterations=BRIEF, tick=clock.tick)
+        fit = fit_jointly(problem, [s.hypothesis], [start], iterations=BRIEF, tick=clock.tick)
+        return either_way(problem, fit, tick=clock.tick)
 
     fits = parallel_map(briefly, promising)
     most = max((fit.gain for fit in fits), default=0.0)
@@ -214,7 +215,7 @@ def _options(
     """What could be the answer, best first: two effects, one effect."""
     problem = located.problem
     first = _best_inside(singles)
-    if first is None or first.gain <= limits.least_gain(evident=first.hypotheses[0].evident):
+    if first is None or first.gain <= limits.gain:
         return []
     clock.say("linearising about the explanation")
     alone = option_of(located.nominal, problem, first, singles, tick=clock.tick)
@@ -283,7 +284,7 @@ def _pair_in_place_of_one(
     what resembles them.
     """
     inside = next((e for e in singles if not e.cornered), None)
-    if inside is None or inside.gain <= limits.least_gain(evident=inside.hypotheses[0].evident):
+    if inside is None or inside.gain <= limits.gain:
         return None
     clock.say("looking for two effects in the place of one")
     other = option_of(located.nominal, located.problem, inside, singles, tick=clock.tick)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from vo2_models.diagnosis.decide import Decision
 from vo2_models.diagnosis.limits import Limits
@@ -33,3 +34,8 @@ class Study:
     decision: Decision
     limits: Limits
     seconds: float
+
+    @property
+    def verdict(self) -> Literal["agrees", "drifted", "differs"]:
+        """What was decided; what the values show by themselves is a difference, however well all else agrees."""
+        return "differs" if self.reading.evident else self.decision.verdict

@@ -1,6 +1,7 @@
 """One converter is coarse."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vo2_models.effects.record import Effect, constant_of
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
@@ -27,6 +28,31 @@ EFFECT = Effect(
         "histogram is a comb and slow ramps become stairs."
     ),
 )
+
+
+def value_step(values: NDArray[np.float64]) -> float:
+    """Return the distance of neighbouring values if all lie on a comb, else 0.
+
+    A comb is told from chance by values that repeat and lie, all of them, at multiples of one distance.
+
+    Parameters
+    ----------
+    values : (n,) finite
+    """
+    distinct = np.unique(values)
+    if distinct.size < 3 or distinct.size > 0.8 * values.size:
+        return 0.0
+    gaps = np.diff(distinct)
+    gaps = gaps[gaps > 1e-6 * np.max(gaps)]
+    step = float(np.median(gaps[gaps < 1.5 * np.min(gaps)]))
+    place = distinct / step
+    return step if float(np.max(np.abs(place - np.rint(place)))) < 0.05 else 0.0
+
+
+def evident(values):
+    """The comb on which all values lie."""
+    step = value_step(values)
+    return ({"step": step}, np.zeros(values.shape, dtype=bool)) if step else None
 
 
 def converter(value, step):

@@ -1,8 +1,17 @@
 """One converter clips."""
 
+import numpy as np
+
 from vo2_models.device.coefficients import HUGE
 from vo2_models.effects.record import Effect, constant_of
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
+
+REPEATED = 8
+"""So often a converter at its limit gives the same value; noise does not."""
+MORE = 4.0
+"""So many times as often as any value within the limits."""
+STILL = 0.1
+"""Share of neighbouring values within the limits that are equal from which there is no noise, and rest repeats a value too."""
 
 EFFECT = Effect(
     id="adc_saturation",
@@ -29,6 +38,22 @@ EFFECT = Effect(
         "others move on."
     ),
 )
+
+
+def evident(values):
+    """The ends that the values reach again and again, exactly, as they do no value between."""
+    distinct, counts = np.unique(values, return_counts=True)
+    usual = np.max(counts[1:-1], initial=0)
+    found = {
+        name: float(distinct[end])
+        for name, end in (("low", 0), ("high", -1))
+        if distinct.size > 2 and counts[end] >= max(REPEATED, MORE * usual)
+    }
+    flat = np.isin(values, list(found.values()))
+    moving = ~(flat[1:] | flat[:-1])
+    if not found or np.count_nonzero(moving & (values[1:] == values[:-1])) > STILL * np.count_nonzero(moving):
+        return None
+    return found, flat
 
 
 def converter(value, low, high):

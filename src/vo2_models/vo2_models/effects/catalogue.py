@@ -21,7 +21,7 @@ from pkgutil import iter_modules
 from types import ModuleType
 from typing import Any
 
-from vo2_models.effects.record import HOOKS, Effect
+from vo2_models.effects.record import HOOKS, PLAIN, Effect
 from vo2_models.io import one_line
 
 __all__ = [
@@ -121,7 +121,7 @@ def load_effect(module: ModuleType) -> Effect:
         raise ValueError(f"{file}: EFFECT: found {type(record).__name__}, need an Effect")
     if record.id != Path(file).stem:
         raise ValueError(f"{file}: found id {record.id!r}, need the file's name")
-    names = (*HOOKS, "advance", "settled", "prepare")
+    names = (*HOOKS, "advance", "settled", *PLAIN)
     hooks = {name: getattr(module, name) for name in names if callable(getattr(module, name, None))}
     complete = replace(record, hooks=hooks, file=file)
     try:
@@ -148,7 +148,7 @@ def check_hooks(record: Effect) -> None:
 
     many = {state.name for state in record.states if state.size > 1}
     for name, function in record.hooks.items():
-        if name == "prepare":  # plain Python
+        if name in PLAIN:
             continue
         kinds = [
             numba.float64[:]

@@ -22,6 +22,8 @@ __all__ = [
     "HEAT",
     "HOOKS",
     "PHASE",
+    "PLAIN",
+    "SAMPLED",
     "SENSED",
     "SETTLED",
     "Effect",
@@ -151,6 +153,10 @@ ADVANCE: Mapping[str, Mapping[str, str]] = {
     "sensor": {"value": "unit", "period": "s", "sample": "1"},
 }
 """Stage -> what `advance`, which moves the states on by one step, can take besides parameters and states."""
+PLAIN = ("prepare", "evident")
+"""Functions of an effect's file that are not compiled: `prepare`, see `derived`, and of an effect on one signal `evident`:
+it takes the values (n,) that were measured, in the channel's unit, and returns None, or what they show by themselves: the
+effect's parameters, and (n,) the values that say no more than that the true ones are beyond them."""
 SETTLED: Mapping[str, Mapping[str, str]] = {
     "driver": {"current": "A"},
     "thermal": {"drive": "K"},
@@ -205,7 +211,7 @@ class Effect:
     fixed : parameters that an excitation cannot separate from the others; a fit leaves them at their default
     course : parameter whose product with the time is the effect's amplitude, where that may take any slow course in time
         and a straight line is the simplest; empty for none
-    linear : whether what a structure makes of a sum is the sum of what it makes of the parts
+    linear : whether what a structure or a sensor makes of a sum is the sum of what it makes of the parts
     order : place among the effects of its hook, lowest first; the order of the signal's way through the device
     derived : names of the numbers that `prepare(values, period, time_constant)` returns, for the hooks
     between_samples : whether what happens between two samples counts with it
@@ -326,6 +332,8 @@ class Effect:
         for need in self.needs:
             if need not in NEEDS:
                 raise ValueError(f"{where}: needs: found {need!r}, need some of {', '.join(NEEDS)}")
+        if "evident" in self.hooks and not self.signal:
+            raise ValueError(f"{where}: evident: found no signal, need an effect that sits on one channel")
         own = {p.name for p in self.parameters}
         for state in self.states:
             if state.settled is None and "settled" not in self.hooks:
@@ -348,7 +356,7 @@ class Effect:
         known = own | {s.name for s in self.states} | set(self.derived) | set(DEVICE)
         known |= {"memory"} if any(s.size > 1 for s in self.states) else set()
         for name, function in self.hooks.items():
-            if name == "prepare":
+            if name in PLAIN:
                 continue
             by_stage = {"advance": ADVANCE, "settled": SETTLED}.get(name)
             takes = by_stage[self.stage] if by_stage else HOOKS[name].takes
@@ -382,3 +390,12 @@ PHASE = constant_of(
     "phase", 0, CHOICE, "transition whose fraction s counts: 0 the structural one, 1 the metallic one", 0, 1
 )
 """Parameter of an effect whose hook takes `fraction`, or that has latent heat: which fraction that is."""
+SAMPLED = constant_of(
+    "sampled",
+    0,
+    CHOICE,
+    "0 for a sensor that acts all the time, 1 for a program that is given the values at the samples",
+    0,
+    1,
+)
+"""Parameter of a sensor's effect that is a filter: of a signal that moves between its samples these are not the same."""

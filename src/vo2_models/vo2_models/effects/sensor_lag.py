@@ -2,13 +2,13 @@
 
 import math
 
-from vo2_models.effects.record import Effect, State, constant_of
+from vo2_models.effects.record import SAMPLED, Effect, State, constant_of
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
 EFFECT = Effect(
     id="sensor_lag",
     stage="sensor",
-    parameters=(constant_of("time_constant", 0, "s", "time constant of the sensor", 0, 1e4),),
+    parameters=(constant_of("time_constant", 0, "s", "time constant of the sensor", 0, 1e4), SAMPLED),
     channels=(RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE),
     signal=True,
     typical={"integrated": {"time_constant": (0.7e-3, 4e-3)}, "peltier": {"time_constant": (0.7, 4.0)}},
@@ -18,7 +18,7 @@ EFFECT = Effect(
     ),
     between_samples=True,
     order=10,
-    equation="tau dy/dt = y_true - y",
+    equation="tau dy/dt = y_true - y; sampled: y_k = y_(k-1) + (1 - exp(-period / tau)) (y_true,k - y_(k-1))",
     excitation="steps or a chirp with another channel to compare",
     source="any text on instrumentation",
     statement=(
@@ -32,7 +32,9 @@ def settled(value):
     return value, value
 
 
-def advance(value, period, time_constant_of_body, lagged, last, time_constant):
+def advance(value, period, time_constant_of_body, lagged, last, time_constant, sampled):
+    if sampled > 0.5:
+        return value - math.exp(-period / time_constant) * (value - lagged), value
     # exact for an input that moves from sample to sample as the heat does under a held current
     heat, slow = max(period / time_constant_of_body, 1e-3), period / time_constant
     gap = slow - heat

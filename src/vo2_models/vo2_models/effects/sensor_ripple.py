@@ -15,6 +15,7 @@ EFFECT = Effect(
     ),
     channels=(TIP_DEFLECTION,),
     signal=True,
+    linear=False,
     order=5,
     typical={
         "integrated": {"amplitude": (0.3e-6, 1.2e-6), "pitch": (6e-6, 20e-6), "phase_angle": (0.5, 3.0)},

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.identification.enrichment import EnrichmentBasis
 from vo2_models.parameters import Parameter, Value
+from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 from vo2_models.validation import finite_array
 
 __all__ = ["DIGEST_PARAMETERS", "LAGS", "CalibrationDigest", "digest_of"]
@@ -23,6 +24,11 @@ Floats = NDArray[np.float64]
 _PREFIX = "model.enrichment."
 LAGS = ("thermal.time_constant", "driver.dead_time")
 """What makes a loop wider that is recorded at a steady rate: the fitted loops hold for the lags they were fitted with."""
+
+
+def _step_of(channel: str) -> str:
+    return f"{_PREFIX}step_{channel}"
+
 
 DIGEST_PARAMETERS = (
     Parameter(f"{_PREFIX}temperature", [], "degC", "film temperature at the ends of the blocks", kind="float_array"),
@@ -41,6 +47,10 @@ DIGEST_PARAMETERS = (
     Parameter(f"{_PREFIX}noise_deflection", [], "m", "noise of deflection: innovation, then AR terms", kind="float_array"),
     Parameter(f"{_PREFIX}noise_stage", [], "K", "noise of stage temperature: innovation, then AR terms", kind="float_array"),
     Parameter(f"{_PREFIX}noise_current", [], "A", "noise of a current reading: innovation, then AR terms", kind="float_array"),
+    *(
+        Parameter(_step_of(channel), [], unit, f"distance of neighbouring values of {channel}", kind="float_array")
+        for channel, unit in ((RESISTANCE, "ohm"), (TIP_DEFLECTION, "m"), (STAGE_TEMPERATURE, "K"))
+    ),
     Parameter(f"{_PREFIX}current_reading", [], "A", "current reading at none, and per commanded ampere", kind="float_array"),
 )  # fmt: skip
 """Records of the section `model.enrichment.*` of a model file; empty arrays mean that it was not identified."""
@@ -60,6 +70,7 @@ class CalibrationDigest:
         empty where unknown
     current_reading : what a current reading shows at no current [A], and per commanded ampere; empty where the logged
         current was no reading of its own
+    steps : channel -> distance of neighbouring values [unit of the channel], where all values lay on a comb
     by_lag : name of `LAGS` -> (n, 2) change of the model's log10 R [1/s] and deflection [m/s] by it; may lack names
     """
 
@@ -73,6 +84,7 @@ class CalibrationDigest:
     noise_current: tuple[float, ...] = ()
     current_reading: tuple[float, ...] = ()
     by_lag: Mapping[str, Floats] = field(default_factory=dict)
+    steps: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         size = self.count.size
@@ -117,6 +129,7 @@ class CalibrationDigest:
             f"{_PREFIX}noise_stage": rounded(self.noise_stage, 5),
             f"{_PREFIX}noise_current": rounded(self.noise_current, 5),
             f"{_PREFIX}current_reading": rounded(self.current_reading, 7),
+            **{_step_of(channel): rounded(step, 10) for channel, step in self.steps.items()},
         }
 
     @classmethod
@@ -144,6 +157,11 @@ class CalibrationDigest:
             tuple(array("noise_current").tolist()),
             tuple(array("current_reading").tolist()),
             by_lag,
+            {
+                channel: float(array(f"step_{channel}")[0])
+                for channel in (RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
+                if parameters.get(_step_of(channel))
+            },
         )
 
 

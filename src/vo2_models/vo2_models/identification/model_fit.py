@@ -13,6 +13,7 @@ from vo2_models.device.model import DeviceModel
 from vo2_models.diagnosis.current_reading import current_reading
 from vo2_models.diagnosis.noise import fit_noise
 from vo2_models.diagnosis.nominal import basis_of, span_of
+from vo2_models.effects.adc_quantization import value_step
 from vo2_models.identification.calibration_check import check_calibration, judge_fit
 from vo2_models.identification.command_delay import command_delay
 from vo2_models.identification.completion import completed
@@ -125,6 +126,12 @@ def _digest(result: FitResult, recording: Recording, first: bool) -> dict[str, V
     return replace(
         short,
         current_reading=reading,
+        steps={
+            channel: step
+            for channel in (RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
+            if channel in recording
+            and (step := value_step(recording[channel][np.isfinite(recording[channel])]))
+        },
         noise_current=noise,
         noise_log_resistance=_noise(path, gap, result, RESISTANCE),
         noise_deflection=_noise(path, tip, result, TIP_DEFLECTION),

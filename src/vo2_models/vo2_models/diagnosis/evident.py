@@ -1,0 +1,150 @@
+"""Effects that measured values show by themselves, as a coarse or a clipping converter does, before anything is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.device import surrogate_of_temperature
+from vo2_models.diagnosis.limits import Limits
+from vo2_models.diagnosis.nominal import Nominal, Response
+from vo2_models.diagnosis.part import Part
+from vo2_models.diagnosis.result import Location
+from vo2_models.effects import Effect, effects
+
+__all__ = ["Evident", "evident_effects", "located_with"]
+
+SAME = 1.05
+"""Steps of converters this far apart, as a ratio, are the same one's."""
+QUIET = 1e-3
+"""Share of the noise that counts for none."""
+
+
+@dataclass(frozen=True)
+class Evident:
+    """One effect that was read off the values of a channel.
+
+    Attributes
+    ----------
+    record : of the catalogue
+    signal : the channel
+    values : its parameters, in their units
+    share : share of the channel's samples at which it acts
+    before, after : r.m.s. distance of recording and simulation at these samples without and with it, in the judged unit
+    energy : of what it changes, in units of the noise power
+    location : of these samples, its share not set
+    """
+
+    record: Effect
+    signal: str
+    values: Mapping[str, float]
+    share: float
+    before: float
+    after: float
+    energy: float
+    location: Location
+
+    @property
+    def effects(self) -> dict[str, dict[str, float | str]]:
+        """What `Simulation.with_effects` takes."""
+        return {f"{self.record.id}:{self.signal}": {**self.values, "signal": self.signal}}
+
+
+def evident_effects(
+    started: Sequence[tuple[Part, Response]], nominal: Nominal, limits: Limits, *, first_use: bool
+) -> tuple[Evident, ...]:
+    """Return what the values show that the simulation lacks, each effect of each channel once.
+
+    A converter that the calibration had as well is in its noise or in its loops. What is new changes the simulation by more
+    than that noise. Where calibrations are among the recordings it need not be new: a comb must then be most of the noise.
+
+    Parameters
+    ----------
+    started : recordings with the response of the simulation
+    nominal : fitted simulation
+    limits : when a converter is coarser than noise
+    first_use : whether calibrations are among the recordings
+    """
+    found: dict[tuple[str, str], Evident] = {}
+    # what a converter does to the values themselves: on average over a noise it may do nothing
+    quiet = replace(nominal, noise={c: noise.scaled(QUIET) for c, noise in nominal.noise.items()})
+    for part, response in started:
+        for (name, channel), values in part.evident.items():
+            key = f"{name}:{channel}"
+            if (name, channel) in found or key in nominal.model.effects or channel not in nominal.noise:
+                continue
+            if not first_use and _known(values, channel, nominal):
+                continue
+            flat = part.flat.get(name, {}).get(channel)
+            acting: NDArray[np.bool_] = part.valid[channel] if flat is None else flat
+            given: dict[str, float | str] = {**values, "signal": channel}
+            there = quiet.respond(part.current, part.dt, effects={key: given}, settled=part.settled)
+            plain, changed = response.channels[channel][acting], there.channels[channel][acting]
+            noise = nominal.noise[channel].level
+            if flat is not None:
+                noise = float(np.hypot(noise, np.max(part.comb_level(channel))))
+            least = noise * (limits.coarse if flat is not None or not first_use else 1.0 / limits.coarse)
+            if _rms(changed - plain) > least or (flat is not None and first_use):
+                seen = part.observed[channel][acting]
+                found[name, channel] = Evident(
+                    effects()[name],
+                    channel,
+                    values,
+                    float(np.mean(acting[part.valid[channel] | acting])),
+                    _rms(seen - plain),
+                    _rms(seen - changed),
+                    float(np.sum((changed - plain) ** 2)) / nominal.noise[channel].level ** 2,
+                    _location(channel, part, acting, response.temperature[acting], nominal.device),
+                )
+    return tuple(found.values())
+
+
+def _known(values: Mapping[str, float], channel: str, nominal: Nominal) -> bool:
+    """Whether the calibration's values lay on the same comb, or on a coarser one."""
+    before = nominal.digest.steps.get(channel, 0.0) if nominal.digest else 0.0
+    return "step" in values and values["step"] < SAME * before
+
+
+def located_with(evident: Sequence[Evident], rest: Sequence[Location], energy: float) -> list[Location]:
+    """Return where recording and simulation differ, all shares of one sum, most first.
+
+    Parameters
+    ----------
+    evident : what the values show
+    rest : where the other excess is
+    energy : of that excess, in units of the noise power
+    """
+    found = {place.signal: replace(place, share=place.share * energy) for place in rest}
+    for one in evident:
+        before = found.get(one.signal)
+        found[one.signal] = replace(
+            before or one.location, share=(before.share if before else 0.0) + one.energy
+        )
+    total = sum(place.share for place in found.values())
+    places = [replace(place, share=place.share / total) for place in found.values()]
+    return sorted(places, key=lambda place: -place.share)
+
+
+def _location(
+    channel: str, part: Part, acting: NDArray[np.bool_], temperature: NDArray[np.float64], device: str
+) -> Location:
+    """These samples as a place, each run of them an interval; the film's middle 80 % of temperatures there [degC]."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], acting, [False]]).astype(int)))
+    begin, end = part.time_s[edges[::2]], part.time_s[edges[1::2] - 1] + part.dt
+    low, high = np.quantile(temperature, [0.1, 0.9])
+    return Location(
+        channel,
+        0.0,
+        np.column_stack([begin, end]).tolist(),
+        "both",
+        [float(low), float(high)],
+        np.sort(surrogate_of_temperature(device, [low, high])).tolist(),
+        [0.0, 0.5 / part.dt],
+    )
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
