@@ -64,6 +64,16 @@ def test_a_converter_that_clips_is_read_off_its_values(parameters, tmp_path) -> 
     assert error[1] < 0.1 * error[0]
 
 
+def test_a_channel_that_is_beyond_its_range_most_of_the_time_is_judged_by_the_rest(parameters) -> None:
+    whole = concealed(CREEP)
+    high = float(np.quantile(whole[TIP_DEFLECTION], 0.4))
+    answer = diagnose([with_tip(whole, lambda tip: np.minimum(tip, high))], parameters)
+    assert named(answer) == [("adc_saturation", TIP_DEFLECTION), ("creep", None)]
+    assert any("sits at its end value in 60" in text for text in answer.limits)
+    few = with_tip(whole, lambda tip: np.where(np.arange(tip.size) % 100 == 50, tip, np.max(tip)))
+    assert any("sits at its end value in 99 %" in text for text in diagnose([few], parameters).limits)
+
+
 def test_an_effect_beside_a_coarse_converter_is_named_too(parameters) -> None:
     answer = diagnose([with_tip(concealed(CREEP), coarse)], parameters)
     assert named(answer) == [("adc_quantization", TIP_DEFLECTION), ("creep", None)]

@@ -234,7 +234,7 @@ def _channel(recording: Recording, channel: str, nominal: Nominal) -> tuple[list
             Finding("noise", f"{channel} is mostly noise (level {noise / np.std(x):.0%} of its spread)"),
         ], False
     ends = max(float(np.mean(x == np.max(x))), float(np.mean(x == np.min(x))))
-    if ends > 0.5:
+    if (1.0 - ends) * x.size < SHORTEST:
         return [
             *found,
             Finding("clipped", f"{channel} sits at its end value in {100 * ends:.0f} % of the samples"),
