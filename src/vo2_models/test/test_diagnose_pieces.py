@@ -154,7 +154,7 @@ def test_what_is_unusable_is_refused_with_the_reason() -> None:
             film_resistance=np.full(2000, np.nan), tip_deflection=np.full(2000, np.nan)
         ),
         "end value": recording(
-            film_resistance=np.minimum(recording()["film_resistance"], 5e4),
+            film_resistance=np.where(np.arange(2000) % 50, 2e5, recording()["film_resistance"]),
             tip_deflection=np.full(2000, 1e-5),
         ),
         "need at least 50": recording().slice(0, 49),
