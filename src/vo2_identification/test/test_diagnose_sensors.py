@@ -8,7 +8,7 @@ from vo2_models.diagnosis.files import write_results
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.effects import effect
 from vo2_models.identification.model_fit import fit_model
-from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
+from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 STEP = 2e-6
 """Coarse for a noise of 0.1 um [m]."""
@@ -111,6 +111,31 @@ def test_rest_and_few_repeats_are_no_limit() -> None:
     resting = np.where(np.arange(5000) < 2000, 0.0, 1.0 + np.sin(np.linspace(0.0, 60.0, 5000)))
     assert read(np.round(resting, 2)) is None  # without noise a value at rest repeats like a limit
     assert read(np.full(5000, 2.0)) is None
+
+
+def test_outliers_and_jitter_hide_no_converter(parameters) -> None:
+    coarse_one = with_tip(concealed(), coarse)
+    rng = np.random.default_rng(8)
+    off = rng.random(coarse_one.time_s.size) < 0.004
+    spoilt = with_tip(coarse_one, lambda tip: np.where(off, tip + 5e-6 * rng.standard_normal(tip.size), tip))
+    assert named(diagnose([spoilt], parameters)) == [("adc_quantization", TIP_DEFLECTION)]
+    # a log that only repeats the command is no reading between its stamps: it would differ by 100 000 noise powers there
+    moved = coarse_one.time_s + 2e-4 * rng.uniform(-1.0, 1.0, coarse_one.time_s.size)
+    command = np.concatenate([coarse_one[HEATER_CURRENT][1:], coarse_one[HEATER_CURRENT][-1:]])
+    channels = {**coarse_one.channels, COMMANDED_CURRENT: command}
+    answer = diagnose([Recording(moved, channels, DEVICE)], parameters)
+    assert ("adc_quantization", TIP_DEFLECTION) in named(answer)
+    assert HEATER_CURRENT not in answer.excess
+
+
+def test_limits_are_seen_past_outliers() -> None:
+    read = effect("adc_saturation").hooks["evident"]
+    rng = np.random.default_rng(4)
+    wave = np.minimum(np.sin(np.linspace(0.0, 60.0, 5000)) + 0.01 * rng.standard_normal(5000), 0.8)
+    off = rng.random(5000) < 0.01
+    values, flat = read(np.where(off, wave + 3.0, wave))
+    assert values == {"high": 0.8}
+    assert np.array_equal(flat, (wave == 0.8) & ~off)
 
 
 def test_a_comb_finer_than_the_noise_is_nothing(parameters) -> None:

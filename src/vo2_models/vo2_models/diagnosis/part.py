@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +21,8 @@ __all__ = ["Part", "prepare", "regular"]
 Floats = NDArray[np.float64]
 BLIND = 3
 """Missing samples in a row after which the memory of the loops may be another."""
+FLAT = 0.01
+"""From this share of the way from another sample to a flat one on a moment counts as flat."""
 AWAY = 0.5
 """Share of its range by which the drive of a device without body must be able to move in a gap for that: where it goes
 from one end of the gap to the other without a turn, the loops are as if they had seen it."""
@@ -123,7 +125,7 @@ def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") 
         raise ValueError(
             f"{name}: found channels {', '.join(recording.channels) or 'none'}, need heater_current"
         )
-    recording = regular(recording)
+    raw, recording = recording, regular(recording)
     current, own = drive_of(recording)
     blind = _longest_blind(recording[HEATER_CURRENT], nominal, recording.sample_period_s)
     laws = {RESISTANCE: nominal.model.resistance.present, TIP_DEFLECTION: nominal.model.deflection.present}
@@ -134,7 +136,8 @@ def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") 
         )
     if STAGE_TEMPERATURE in recording and preset(nominal.device).measures_temperature:
         wanted.append(STAGE_TEMPERATURE)
-    if own and HEATER_CURRENT in nominal.noise:
+    # a current that steps is no reading between its stamps
+    if own and HEATER_CURRENT in nominal.noise and jitter_of(raw) <= JITTERED:
         wanted.insert(0, HEATER_CURRENT)
     observed, valid = {}, {}
     for channel in wanted:
@@ -150,12 +153,12 @@ def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") 
         raise ValueError(f"{name}: no channel has {SHORTEST // 2} finite samples")
     comb = {}
     for channel in observed:
-        raw = recording[channel][valid[channel]]
-        step = value_step(raw)
-        size = step / (np.log(10) * float(np.quantile(raw, 0.1))) if channel == RESISTANCE else step
+        values = recording[channel][valid[channel]]
+        step = value_step(raw[channel][np.isfinite(raw[channel])])
+        size = step / (np.log(10) * float(np.quantile(values, 0.1))) if channel == RESISTANCE else step
         if channel in nominal.noise and size > 2.0 * nominal.noise[channel].level:
             comb[channel] = step
-    evident, flat = _evident(recording, valid)
+    evident, flat = _evident(raw, recording.time_s, tuple(observed))
     for masks in flat.values():
         valid |= {channel: valid[channel] & ~mask for channel, mask in masks.items()}
     return Part(
@@ -165,20 +168,23 @@ def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") 
 
 
 def _evident(
-    recording: Recording, valid: Mapping[str, NDArray[np.bool_]]
+    raw: Recording, time_s: Floats, channels: Sequence[str]
 ) -> tuple[dict[tuple[str, str], Mapping[str, float]], dict[str, dict[str, NDArray[np.bool_]]]]:
-    """What the values of each channel show by themselves, see `Part.evident` and `Part.flat`."""
+    """What the values of each channel show by themselves, as they were recorded, see `Part.evident` and `Part.flat`.
+
+    At times (n,) [s] between a sample that is flat and another there is no more than at the first.
+    """
     found: dict[tuple[str, str], Mapping[str, float]] = {}
     flat: dict[str, dict[str, NDArray[np.bool_]]] = {}
     for record in effects().values():
-        for channel in (c for c in valid if c in record.channels and "evident" in record.hooks):
-            shown = record.hooks["evident"](recording[channel][valid[channel]])
+        for channel in (c for c in channels if c in record.channels and "evident" in record.hooks):
+            good = np.isfinite(raw[channel])
+            shown = record.hooks["evident"](raw[channel][good])
             if shown is None:
                 continue
             found[record.id, channel] = shown[0]
             if np.any(shown[1]):
-                mask = np.zeros(valid[channel].shape, dtype=bool)
-                mask[valid[channel]] = shown[1]
+                mask = np.interp(time_s, raw.time_s[good], shown[1].astype(float)) > FLAT
                 flat.setdefault(record.id, {})[channel] = mask
     return found, flat
 

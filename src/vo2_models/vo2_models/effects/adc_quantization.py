@@ -31,16 +31,25 @@ EFFECT = Effect(
 
 
 def value_step(values: NDArray[np.float64]) -> float:
-    """Return the distance of neighbouring values if all lie on a comb, else 0.
+    """Return the distance of neighbouring values if they lie on a comb, else 0.
 
-    A comb is told from chance by values that repeat and lie, all of them, at multiples of one distance.
+    A comb is told from chance by values that repeat and lie, all of them, at multiples of one distance; single values
+    beside it, as outliers are, may be a fiftieth of all.
 
     Parameters
     ----------
     values : (n,) finite
     """
-    distinct = np.unique(values)
-    if distinct.size < 3 or distinct.size > 0.8 * values.size:
+    distinct, counts = np.unique(values, return_counts=True)
+    if distinct.size > 0.8 * values.size:
+        return 0.0
+    repeated = distinct[counts > 1]
+    return _step(distinct) or (_step(repeated) if np.sum(counts[counts > 1]) > 0.98 * values.size else 0.0)
+
+
+def _step(distinct: NDArray[np.float64]) -> float:
+    """Distance of neighbours of which all others are multiples, of values (m,) in order; 0 for none."""
+    if distinct.size < 3:
         return 0.0
     gaps = np.diff(distinct)
     gaps = gaps[gaps > 1e-6 * np.max(gaps)]

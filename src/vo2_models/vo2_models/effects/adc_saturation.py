@@ -10,6 +10,8 @@ REPEATED = 8
 """So often a converter at its limit gives the same value; noise does not."""
 MORE = 4.0
 """So many times as often as any value within the limits."""
+BEYOND = 0.02
+"""Share of the values, outliers, that may lie beyond a limit."""
 STILL = 0.1
 """Share of neighbouring values within the limits that are equal from which there is no noise, and rest repeats a value too."""
 
@@ -43,10 +45,15 @@ EFFECT = Effect(
 def evident(values):
     """The ends that the values reach again and again, exactly, as they do no value between."""
     distinct, counts = np.unique(values, return_counts=True)
-    usual = np.max(counts[1:-1], initial=0)
+    below = np.cumsum(counts) - counts
+    ends = {}
+    for name, beyond in (("low", below), ("high", values.size - below - counts)):
+        inside = np.flatnonzero(beyond <= BEYOND * values.size)
+        ends[name] = int(inside[np.argmax(counts[inside])])
+    usual = np.max(np.delete(counts, list(ends.values())), initial=0)
     found = {
         name: float(distinct[end])
-        for name, end in (("low", 0), ("high", -1))
+        for name, end in ends.items()
         if distinct.size > 2 and counts[end] >= max(REPEATED, MORE * usual)
     }
     flat = np.isin(values, list(found.values()))
