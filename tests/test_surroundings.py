@@ -1,8 +1,11 @@
 """What a laboratory's host does to a program: another locale, a place that cannot be written, a second graph."""
 
 import os
+import signal
 import subprocess
 import sys
+import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -97,28 +100,64 @@ def test_two_graphs_in_other_namespaces_and_domains_do_not_meet():
                 rig.until(lambda: len(rig.heard["/two/measurement"]) > 3, 60.0)
 
 
-@pytest.mark.slow
-def test_fifty_devices_on_one_host(capfd):
-    with bench() as rig:
-        names = [f"/device_{k}/measurement" for k in range(50)]
-        for name in names:
-            rig.hear(name, ("heater_current", "film_resistance"))
-        plants = []
-        try:
-            for k in range(50):
-                line = ["--ros-args", "-p", "clock:=false", "-p", f"seed:={k}", "-r", f"__ns:=/device_{k}"]
-                plants.append(
-                    subprocess.Popen([installed("vo2_plant_sim", "plant"), *line], stderr=subprocess.DEVNULL)
-                )
-            rig.until(lambda: all(rig.heard[name] for name in names), 540.0)
+@pytest.fixture
+def fifty():
+    """Start fifty devices as the documentation says, with parameters; the process and its topics."""
+    with bench() as rig, ExitStack() as ends:
+
+        def start(*parameters):
+            names = [f"/device_{k}/measurement" for k in range(50)]
             for name in names:
-                stamp, (_, resistance) = rig.heard[name][-1]
-                assert stamp == 1_000_000_000 and 1e3 < resistance < 1e6
-            assert all(plant.poll() is None for plant in plants)
-            memory = [int(Path(f"/proc/{p.pid}/statm").read_text().split()[1]) * 4096 / 1e6 for p in plants]
-        finally:
-            for plant in plants:
-                plant.kill()
-                plant.wait()
+                rig.hear(name, ("heater_current", "film_resistance"))
+            given = [word for parameter in parameters for word in ("-p", parameter)]
+            command = [installed("vo2_plant_sim", "plants"), "--count", "50", "--ros-args", *given]
+            return rig, names, ends.enter_context(running(command, dict(os.environ)))
+
+        yield start
+
+
+@pytest.mark.slow
+def test_fifty_devices_on_one_host(fifty, capfd):
+    began = time.monotonic()
+    rig, names, plants = fifty()
+    patience = began + 300.0
+    rig.until(lambda: all(rig.heard[name] for name in names) or time.monotonic() > patience, 540.0)
+    took_s = time.monotonic() - began
+    heard = [rig.heard[name][-1] for name in names if rig.heard[name]]
+    memory = int(Path(f"/proc/{plants.pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    began = time.monotonic()
+    plants.send_signal(signal.SIGINT)
+    told, _ = plants.communicate(timeout=60.0)
     with capfd.disabled():
-        print(f"\n50 devices on this host: all heard, {max(memory):.0f} MB each at most")
+        print(
+            f"\n50 devices on this host: {len(heard)} heard within {took_s:.0f} s, {memory / 1e6:.0f} MB together, "
+            f"ended within {time.monotonic() - began:.1f} s of Ctrl-C"
+        )
+    assert len(heard) == 50 and plants.returncode == 0
+    assert all(stamp == 1_000_000_000 for stamp, _ in heard)
+    resistances = {resistance for _, (_, resistance) in heard}
+    assert len(resistances) == 50 and all(1e3 < each < 1e6 for each in resistances)
+    assert "Warning" not in told
+
+
+@pytest.mark.slow
+@pytest.mark.alone
+@pytest.mark.parametrize("rate_hz", [10, 50, 100])
+def test_fifty_devices_keep_the_pace_of_wall_time(rate_hz, fifty, capfd):
+    rig, names, _ = fifty("time:=wall", f"rate_hz:={rate_hz}.0")
+    rig.until(lambda: all(rig.heard[name] for name in names), 300.0)
+    rig.spin(2.0)  # until the last have met
+    before = rig.counts()
+    rig.spin(10.0)
+    taken = [len(rig.heard[name]) - before[name] for name in names]
+    skipped = []
+    for name in names:
+        stamps = np.array([stamp for stamp, _ in rig.heard[name][before[name] :]])
+        skipped.append(np.sum(np.rint(np.diff(stamps) * 1e-9 * rate_hz) - 1) / (rate_hz * 10.0))
+    with capfd.disabled():
+        print(
+            f"\n50 devices at {rate_hz} Hz in wall time: {min(taken) / 10:.1f} to {max(taken) / 10:.1f} samples/s heard of "
+            f"each, {100 * np.mean(skipped):.2f} % of the periods skipped, {100 * max(skipped):.2f} % of the worst device"
+        )
+    # faster than that is told, not promised
+    assert rate_hz > 10 or max(skipped) < 0.1

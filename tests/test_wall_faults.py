@@ -6,23 +6,32 @@ import time
 
 import pytest
 from vo2_identification.bags import BagError, read_bag
-from wall_loop import NODES, wall_loop
+from vo2_interface.lockstep import HOLD_SAMPLES
+from wall_loop import NODES, RATE_HZ, wall_loop
 
 UM = 1e-6
 _EXCURSION = 2.0 * UM
 """What a return may rise above the overshoot of the first start: another sample of noise and timing."""
-_HELD = 6
-"""Measurements with current after a loss: three that are held, and one each under way, missing its time, being told."""
+_SAYS = {"estimator": "/vo2/estimate", "reference": "/vo2/reference", "controller": "/vo2/command"}
 
 
-def flowing(loop, killed_ns):
-    """Number of measurements with current that the plant took after an instant [ns], up to the first without.
+def held(loop, name):
+    """Return for how many samples the plant held the current after a node was killed.
 
-    Counted by stamps, which are wall time: this process may be behind with what it has heard.
+    The node's last word is on the sample of its stamp. The current that it led to is the next sample's; those after it are
+    held. Counted by the plant's own stamps: when this process hears of them does not matter.
     """
-    heard = loop.rig.heard["/vo2/measurement"]
-    currents = [abs(values[1]) for stamp, values in heard if stamp > killed_ns]
-    return next((k for k, current in enumerate(currents) if current < 1e-4), len(currents))
+    last_ns = loop.rig.heard[_SAYS[name]][-1][0]
+
+    def after():
+        return [
+            (stamp, abs(values[1])) for stamp, values in loop.rig.heard["/vo2/measurement"] if stamp > last_ns
+        ]
+
+    loop.rig.until(lambda: any(current < 1e-4 for _, current in after()))
+    safe_ns = next(stamp for stamp, current in after() if current < 1e-4)
+    flowed = [stamp for stamp, _ in after() if stamp < safe_ns]
+    return round((max(flowed, default=last_ns) - last_ns) * 1e-9 * RATE_HZ) - 1
 
 
 def test_a_stall_of_any_node_ends_without_an_excursion(model_file, tmp_path):
@@ -47,7 +56,7 @@ def last_of(bag):
 def test_killing_any_one_process_leaves_the_device_safe_and_it_rejoins(chunk, model_file, tmp_path, capfd):
     """The short form kills 8 times; the ten slow ones together 200 times."""
     rng, kills = random.Random(chunk), 20 if chunk else 8
-    held, highest, lost, silent = [], [], [], []
+    samples, highest, lost, silent = [], [], [], []
     with wall_loop(tmp_path, model_file) as loop:
         allowed = loop.tip().max() + _EXCURSION
         bags = [tmp_path / "bag_0"]
@@ -68,8 +77,8 @@ def test_killing_any_one_process_leaves_the_device_safe_and_it_rejoins(chunk, mo
                 loop.record(bags[-1])
             else:
                 if name != "plant":
-                    held.append(flowing(loop, killed_ns))
-                    assert held[-1] <= _HELD, f"{name}: current flowed for {held[-1]} samples more"
+                    samples.append(held(loop, name))
+                    assert samples[-1] <= HOLD_SAMPLES, f"{name}: held for {samples[-1]} samples"
                 if name in ("estimator", "reference"):
                     silent.append(loop.silence(commands))
                 loop.start(name)
@@ -80,7 +89,7 @@ def test_killing_any_one_process_leaves_the_device_safe_and_it_rejoins(chunk, mo
             assert highest[-1] < allowed, f"{name}: the tip rose to {highest[-1] / UM:.1f} um"
     with capfd.disabled():
         print(
-            f"\n{kills} kills: safe current after at most {max(held, default=0)} samples (of {len(held)}), the controller "
+            f"\n{kills} kills: current held for at most {max(samples, default=0)} samples (of {len(samples)}), the controller "
             f"silent for at most {max(silent, default=0):.1f} periods (of {len(silent)}), a bag ends at most "
             f"{max(lost, default=0):.2f} s before the kill (of {len(lost)}), {kills} of {kills} rejoined, tip at most "
             f"{max(highest) / UM:.1f} um at a set-point of 30"

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from vo2_interface.testing import Bench, bench
+from vo2_interface.topics import LATCHED_QOS
 from vo2_models.parameters import Value
 from vo2_studies.demo.graph import Graph, NodeProcess
 
-__all__ = ["NODES", "WallLoop", "wall_loop"]
+__all__ = ["NODES", "RATE_HZ", "WallLoop", "wall_loop"]
 
 RATE_HZ = 40.0
 """Slow, so that a machine that does other work too misses no periods [Hz]."""
@@ -41,6 +42,7 @@ class WallLoop:
         rig.hear("/vo2/measurement", ("true_tip_deflection", "heater_current"))
         rig.hear("/vo2/command", ("heater_current",))
         rig.hear("/vo2/estimate", ("tip_deflection", "tip_deflection_bound"))
+        rig.hear("/vo2/reference", ("tip_deflection",), LATCHED_QOS)
         for name in NODES:
             self.start(name)
 

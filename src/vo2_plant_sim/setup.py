@@ -14,7 +14,7 @@ except ModuleNotFoundError:
 NAME = "vo2_plant_sim"
 PACKAGE = ElementTree.parse("package.xml").getroot()
 MAINTAINER = PACKAGE.find("maintainer")
-NODES = ["plant = vo2_plant_sim.executables:plant"]
+NODES = ["plant = vo2_plant_sim.executables:plant", "plants = vo2_plant_sim.executables:plants"]
 
 setup(
     name=NAME,

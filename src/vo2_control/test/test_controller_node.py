@@ -4,7 +4,9 @@ import itertools
 import math
 import time
 from importlib.resources import files
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 from vo2_control.controller_node import ControllerNode
@@ -13,6 +15,8 @@ from vo2_control.reference_node import ReferenceNode
 from vo2_interface.model import operating_point
 from vo2_interface.parameters import ros_parameters
 from vo2_interface.testing import bench
+
+from vo2_control import command_node
 
 MS = 1_000_000
 UM = 1e-6
@@ -118,6 +122,28 @@ def test_wall_time_an_estimator_that_stops_leads_to_the_safe_current():
         assert 2 <= after.index(0.0) <= 4
         assert set(after[: after.index(0.0)]) == {last}
         rig.until(lambda: "nothing on estimate" in rig.status("controller: input")[0])
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.55, 0.8])
+def test_wall_time_the_safe_current_arrives_before_the_plant_would_hold_a_fourth_sample(phase, monkeypatch):
+    """By a clock of its own, and so slow that the node's timer keeps out of it; the plant's next sample is the fifth."""
+    now = [0.0]
+    monkeypatch.setattr(command_node, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    with controller("time:=wall", "rate_hz:=0.01") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        node = rig.add(ControllerNode)
+        after_listening(rig)
+        for k in range(10, 16):
+            now[0] = 100.0 * k
+            last = paced_command(rig, k, 29 * UM, period_ms=100_000)
+        assert last > POINT.lower_a
+        before = len(rig.heard["/vo2/command"])
+        for periods in np.arange(1.0, 4.75 - phase):
+            now[0] = 100.0 * (15 + periods + phase)
+            node._on_tick()
+        rig.until(lambda: rig.heard["/vo2/command"][-1][1][0] == 0.0)
+        told = [values[0] for _, values in rig.heard["/vo2/command"][before:]]
+        assert set(told[:-1]) == {last}
 
 
 def test_a_set_point_by_hand_holds_until_the_next():

@@ -63,6 +63,8 @@ _LISTEN_S = 0.5
 """Wall time for which a node that has just found its input, or another commander, listens before it commands [s]."""
 _LATE = 1.5
 """Periods after which a sample that has not come counts as missing, and one that comes is too old to be answered."""
+_ON_THE_WAY = 0.25
+"""Share of a period that a command may take to the plant, so that it arrives before the next sample."""
 
 
 class CommandNode(ManagedNode):
@@ -352,10 +354,13 @@ class CommandNode(ManagedNode):
             self._miss(self._present_ns(), f"nothing on {missing}: is its node running?")
 
     def _present_ns(self) -> int:
-        """Return the stamp [ns] of the sample that should have come last."""
+        """Return the stamp [ns] of the sample that should be the last one when what is now commanded arrives.
+
+        The clock here ticks at any phase of the plant's: the next tick would tell one that is due soon too late.
+        """
         last_ns = self._order.last_ns or 0
         passed_s = self._age.stamp_s(time.monotonic()) - 1e-9 * last_ns
-        return last_ns + round(1e9 * self._period_s) * max(1, int(passed_s / self._period_s))
+        return last_ns + round(1e9 * self._period_s) * max(1, int(passed_s / self._period_s + _ON_THE_WAY))
 
     def _judge(self, values: Mapping[str, Value]) -> None:
         """Refuse parameters that the device does not bear."""

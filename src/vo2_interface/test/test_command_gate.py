@@ -47,6 +47,14 @@ def test_without_a_command_the_safe_current_of_the_device_flows(point):
     assert told.texts[-1].endswith(f"safe current {point.safe_a:g} A")
 
 
+@pytest.mark.parametrize("late", range(HOLD_SAMPLES + 1))
+def test_a_late_command_is_held_no_longer_than_one_in_time(point, late):
+    gate = CommandGate(point, PERIOD_NS, Told())
+    assert gate.take(PERIOD_NS, 5e-3, math.nan, (1 + late) * PERIOD_NS) == 5e-3
+    flows = [gate.next_period() for _ in range(HOLD_SAMPLES + 2)]
+    assert flows.count(5e-3) == HOLD_SAMPLES + 1 - late and flows[-1] == point.safe_a
+
+
 def test_a_command_that_is_not_finite_is_the_safe_current_and_one_too_large_the_limit(point):
     gate = CommandGate(point, PERIOD_NS, Told())
     assert gate.borne(math.nan, 0) == point.safe_a

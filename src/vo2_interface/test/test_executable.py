@@ -39,6 +39,49 @@ def test_a_process_that_cannot_leave_is_ended_and_says_where_it_hung():
     assert "left" not in done.stdout
 
 
+MANY = """
+import sys, time
+from rclpy.node import Node
+from vo2_interface import executable
+from vo2_interface.timers import create_steady_timer
+
+executable._LEAVE_S = 0.5
+
+
+class Slow(Node):
+    def __init__(self):
+        super().__init__("slow", namespace=f"/n{len(made)}")
+        made.append(self)
+        create_steady_timer(self, 3600.0, lambda: None)
+        if len(made) == 12:
+            create_steady_timer(self, 0.1, lambda: print("turned", flush=True))
+
+    def destroy_node(self):
+        time.sleep(0.1)
+        super().destroy_node()
+
+
+made = []
+sys.exit(executable.run_nodes(*[Slow] * 12, args=["many"]))
+"""
+
+
+def test_many_nodes_may_leave_slowly_one_by_one_and_nothing_is_said_of_their_timers():
+    environment = dict(os.environ, ROS_DOMAIN_ID=str(free_domain()))
+    with subprocess.Popen(
+        [sys.executable, "-c", MANY],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=environment,
+        text=True,
+    ) as process:
+        assert process.stdout.readline() == "turned\n"
+        process.send_signal(signal.SIGINT)
+        rest, errors = process.communicate(timeout=50)
+    assert process.returncode == 0, errors
+    assert set(rest.splitlines()) <= {"turned"}
+
+
 CRASH = """
 import ctypes
 

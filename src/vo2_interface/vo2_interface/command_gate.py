@@ -17,6 +17,8 @@ _SOLE = "another node commands too; only the first is heard until it is silent: 
 class CommandGate:
     """Lets through commands of one node, young, in order and within limits; after three periods without, the safe current.
 
+    Periods count from the sample that the last command answered, whenever the command came: a late one is held for less.
+
     Parameters
     ----------
     point : limits and safe current of the device
@@ -38,7 +40,7 @@ class CommandGate:
         self.answered_ns = 0
         self._current_a: float | None = None
         self._borne = True
-        self._silent = HOLD_SAMPLES + 1
+        self._silent = self._age = HOLD_SAMPLES + 1
         self._commander = math.nan
 
     def borne(self, current_a: float, stamp_ns: int) -> float:
@@ -89,14 +91,16 @@ class CommandGate:
             return None
         self._current_a = self.borne(current_a, present_ns)
         self._silent, self.answered_ns = 0, stamp_ns
+        self._age = max(0, round((present_ns - stamp_ns) / self._period_ns))
         return self._current_a
 
     def next_period(self) -> float:
         """Begin a sample period; return the current that flows in it [A]."""
         self._silent += 1
+        self._age += 1
         if self._current_a is None:
             return self._safe_a
-        if self._silent > HOLD_SAMPLES + 1:
+        if self._age > HOLD_SAMPLES + 1:
             self._diagnostics.report(
                 "command",
                 "error",

@@ -2,6 +2,7 @@
 
 from vo2_interface.quiet_start import quiet_start
 
-__all__ = ["plant"]
+__all__ = ["plant", "plants"]
 
 plant = quiet_start("vo2_plant_sim.plant")
+plants = quiet_start("vo2_plant_sim.plants")

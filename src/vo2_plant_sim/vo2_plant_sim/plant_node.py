@@ -11,6 +11,9 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
 
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -35,7 +38,7 @@ from vo2_interface.topics import (
     MEASUREMENT,
     SAMPLE_QOS,
 )
-from vo2_models.parameters import Parameter
+from vo2_models.parameters import Parameter, Value
 
 from vo2_plant_sim.simulated_device import SIMULATED_DEVICE_PARAMETERS, TRUE_CHANNELS, simulated_device
 
@@ -71,12 +74,25 @@ _LATE = 0.75
 
 
 class PlantNode(Node):
-    """Parameters in, commands in, one step of the device, measurements out."""
+    """Parameters in, commands in, one step of the device, measurements out.
 
-    def __init__(self) -> None:
-        super().__init__("plant", namespace=DEFAULT_NAMESPACE)
-        records = (*PLANT_PARAMETERS, *SIMULATED_DEVICE_PARAMETERS, *model_parameters())
-        fixed = [record.name for record in (*PLANT_PARAMETERS, *SIMULATED_DEVICE_PARAMETERS)]
+    Parameters
+    ----------
+    namespace : its default namespace
+    defaults : values instead of the defaults of `PLANT_PARAMETERS` and `SIMULATED_DEVICE_PARAMETERS`; what a file or a
+        command line says goes before them
+    """
+
+    def __init__(
+        self, namespace: str = DEFAULT_NAMESPACE, defaults: Mapping[str, Value] = MappingProxyType({})
+    ) -> None:
+        super().__init__("plant", namespace=namespace)
+        own = [
+            replace(record, default=defaults.get(record.name, record.default))
+            for record in (*PLANT_PARAMETERS, *SIMULATED_DEVICE_PARAMETERS)
+        ]
+        records = (*own, *model_parameters())
+        fixed = [record.name for record in own]
         fixed.remove("run_until_s")
         self._table = ParameterTable(self, records, read_only=fixed)
         preset = self._table.text("preset")
