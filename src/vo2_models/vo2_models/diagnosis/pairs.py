@@ -41,6 +41,8 @@ SETTLES = 2e-3
 """Drop of chi-square, in noise powers, that ends these refits."""
 FAR = 1.0
 """Move of a constant, in units of what the simulation is linear over, from which an effect is also fitted with none moved."""
+MUCH = 0.1
+"""Excess power, in noise powers, that it must leave for that: the level of a noise is known to as much."""
 FREE = 20.0
 """Standard deviation with which the parameters of the other may move while partners are scored, in their steps."""
 
@@ -139,7 +141,8 @@ def refit_about(
         # fitted with constants as the calibration left them, perhaps: those that drift come last
         shift = np.pad(again.shift, (0, problem.origin.size - again.shift.size))
         tried = [about(shift, again, final)]
-        if not turn and problem.curved(shift) > FAR and not problem.refits:
+        much = tried[0][1].chi_square > (1.0 + MUCH) * tried[0][0].count
+        if not turn and much and problem.curved(shift) > FAR and not problem.refits:
             # constants that went far to stand for the effect need not find back
             tried.append(about(np.zeros_like(shift), again, final))
             turns = 2

@@ -160,8 +160,7 @@ def _refitted(
 
     def briefly(s: Score) -> Explanation:
         start = switched(problem, s.hypothesis, s.start, problem.residual, tick=clock.tick)
-        fit = fit_jointly(problem, [s.hypothesis], [start], iterations=BRIEF, tick=clock.tick)
-        return either_way(problem, fit, tick=clock.tick)
+        return fit_jointly(problem, [s.hypothesis], [start], iterations=BRIEF, tick=clock.tick)
 
     fits = parallel_map(briefly, promising)
     most = max((fit.gain for fit in fits), default=0.0)
@@ -170,7 +169,7 @@ def _refitted(
         if fit.gain <= 0.5 * most:
             return fit
         again = fit_jointly(problem, fit.hypotheses, fit.values, tick=clock.tick)
-        return again if again.chi_square < fit.chi_square else fit
+        return either_way(problem, min(fit, again, key=lambda e: e.chi_square), tick=clock.tick)
 
     return parallel_map(finished, fits)
 
