@@ -42,7 +42,7 @@ from vo2_studies.reproduce.peltier import (
     current_noise,
     reference,
 )
-from vo2_studies.reproduce.pool import interrupt_is_ours, run_many
+from vo2_studies.reproduce.pool import hear_the_end, interrupt_is_ours, run_many
 from vo2_studies.reproduce.sections import (
     arithmetic,
     chapter_3_5,
@@ -259,13 +259,24 @@ def _interrupted(arguments, wait_for, by=signal.SIGINT):
     return process.wait(timeout=120), said
 
 
-def test_a_ctrl_c_while_processes_start_is_not_lost_and_they_do_not_see_it():
-    show = "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ()))"
-    with pytest.raises(KeyboardInterrupt), interrupt_is_ours():
-        child = subprocess.run([sys.executable, "-c", show], capture_output=True, text=True, check=True)
-        os.kill(os.getpid(), signal.SIGINT)
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+def test_a_ctrl_c_while_processes_start_is_not_lost_and_they_do_not_see_it(by):
+    show = f"import signal; print({int(by)} in signal.pthread_sigmask(signal.SIG_BLOCK, ()))"
+    before = signal.signal(by, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), interrupt_is_ours():
+            child = subprocess.run([sys.executable, "-c", show], capture_output=True, text=True, check=True)
+            os.kill(os.getpid(), by)
+    finally:
+        signal.signal(by, before)
     assert child.stdout.strip() == "True"
-    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    assert by not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def test_what_is_started_then_can_be_ended():
+    with interrupt_is_ours():
+        hear_the_end()
+        assert signal.SIGTERM not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])

@@ -13,7 +13,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vo2_studies.reproduce.pool import interrupt_is_ours
+from vo2_studies.reproduce.pool import hear_the_end, interrupt_is_ours
 
 if TYPE_CHECKING:
     from vo2_studies.measured.report import SetReport
@@ -94,7 +94,8 @@ def _studies(
     """Yield set and report in the order in which the sets are done."""
     before = set(multiprocessing.active_children())
     # spawn: a fork of a process whose libraries run threads may hang
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=spawn, initializer=hear_the_end) as pool:
         try:
             with interrupt_is_ours():
                 jobs = {

@@ -17,7 +17,7 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-__all__ = ["Finished", "interrupt_is_ours", "run_many"]
+__all__ = ["Finished", "hear_the_end", "interrupt_is_ours", "run_many"]
 
 Job = TypeVar("Job")
 Found = TypeVar("Found")
@@ -90,7 +90,8 @@ def run_many(
     before = set(multiprocessing.active_children())
     size = max(1, min(8, len(jobs) // (4 * workers)))
     # spawn: a fork of a process whose libraries run threads may hang
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=spawn, initializer=hear_the_end) as pool:
         try:
             with interrupt_is_ours():
                 chunks = [pool.submit(_several, work, jobs[k : k + size]) for k in range(0, len(jobs), size)]
@@ -107,17 +108,23 @@ def _several(work: Callable[[Job], Found], jobs: Sequence[Job]) -> list[Found]:
     return [work(job) for job in jobs]
 
 
+def hear_the_end() -> None:
+    """Let a process that was started within `interrupt_is_ours` be ended: it has what is blocked there from its parent."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
+
+
 @contextmanager
 def interrupt_is_ours() -> Iterator[None]:
     """Processes started inside do not see Ctrl-C: this process ends them, without one traceback from each.
 
-    One that is pressed meanwhile is not lost, as it would be if it were ignored here: it waits, or comes by another thread.
+    One that is pressed meanwhile, or a SIGTERM, is not lost, as it would be if it were ignored here or came while a process
+    is made: it waits, or comes by another thread. The processes begin with `hear_the_end`.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     resource_tracker.ensure_running()  # to start it within would let Ctrl-C through again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         yield
     finally:
