@@ -143,6 +143,7 @@ def test_a_comb_finer_than_the_noise_is_nothing(parameters) -> None:
     assert diagnose([fine], parameters).verdict == "agrees"
 
 
+@pytest.mark.slow
 def test_the_first_recording_that_shows_it_counts(parameters) -> None:
     plain, clipped = concealed(), concealed(seed=5)
     high = float(np.quantile(clipped[RESISTANCE], 0.9))
@@ -174,6 +175,7 @@ def test_a_channel_that_is_late_by_many_samples_is_told_as_that(parameters) -> N
     assert answer.effects[0].parameters["delay"].value == pytest.approx(12e-3, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_dead_time_of_many_samples_has_no_rival(parameters) -> None:
     late = concealed()
     current = np.concatenate([late[HEATER_CURRENT][5:], np.full(5, late[HEATER_CURRENT][-1])])
