@@ -64,6 +64,7 @@ def test_a_converter_that_clips_is_read_off_its_values(parameters, tmp_path) -> 
     assert error[1] < 0.1 * error[0]
 
 
+@pytest.mark.slow
 def test_a_channel_that_is_beyond_its_range_most_of_the_time_is_judged_by_the_rest(parameters) -> None:
     whole = concealed(CREEP)
     high = float(np.quantile(whole[TIP_DEFLECTION], 0.4))
@@ -91,6 +92,7 @@ def test_a_converter_that_was_coarse_all_along_is_told_where_that_is_asked(coars
     assert named(answer) == [("adc_quantization", TIP_DEFLECTION)]
 
 
+@pytest.mark.slow
 def test_an_analogue_limit_before_the_noise_is_found_by_the_fit(parameters) -> None:
     whole = concealed()
     high = float(np.quantile(whole[TIP_DEFLECTION], 0.8))
@@ -113,6 +115,7 @@ def test_rest_and_few_repeats_are_no_limit() -> None:
     assert read(np.full(5000, 2.0)) is None
 
 
+@pytest.mark.slow
 def test_outliers_and_jitter_hide_no_converter(parameters) -> None:
     coarse_one = with_tip(concealed(), coarse)
     rng = np.random.default_rng(8)
@@ -138,6 +141,7 @@ def test_limits_are_seen_past_outliers() -> None:
     assert np.array_equal(flat, (wave == 0.8) & ~off)
 
 
+@pytest.mark.slow
 def test_a_comb_finer_than_the_noise_is_nothing(parameters) -> None:
     fine = with_tip(concealed(), lambda tip: 5e-8 * np.rint(tip / 5e-8))
     assert diagnose([fine], parameters).verdict == "agrees"
