@@ -86,7 +86,5 @@ def test_what_cannot_be_used_is_told():
         return ended.stderr
 
     assert "run: found no process" in refused()
-    assert "found no executable 'plent' of package 'vo2_plant_sim'" in refused(
-        'run:=["vo2_plant_sim plent"]'
-    )
+    assert "found no executable 'plent' of package 'vo2_plant_sim'" in refused('run:=["vo2_plant_sim plent"]')
     assert "vo2/plant twice" in refused('run:=["vo2_plant_sim plant", "vo2_plant_sim plant"]')
