@@ -191,7 +191,7 @@ def test_a_dead_time_of_many_samples_has_no_rival(parameters) -> None:
     assert answer.effects[0].parameters["delay"].value == pytest.approx(5e-3, rel=0.01)
 
 
-def test_what_two_effects_do_alike_is_told_as_a_set(parameters) -> None:
+def test_what_two_effects_do_equally_well_is_told_as_a_set(parameters) -> None:
     """Straight lines between the samples, read 0.4 samples later, are a mean of two samples: both, and neither by name."""
     late = with_tip(concealed(), lambda tip: 0.6 * tip + 0.4 * np.roll(tip, 1))
     (effect,) = diagnose([late], parameters).effects
