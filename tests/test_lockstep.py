@@ -6,6 +6,7 @@ import time
 
 import pytest
 from vo2_identification.bags import raw_messages, read_bag
+from vo2_studies.demo.graph import GraphError
 
 END_S = 1.5
 COUNT = round((END_S - 1.0) * 1000) + 1
@@ -21,7 +22,7 @@ def run_loop(graph, conductor, model_file, bag, *, late_estimator=False):
         "reference": {"signal": "multisine"},
         "estimator": {"kind": "composite"},
     }
-    conductor.statuses.clear()
+    conductor.forget()
     recorder = graph.start("record", arguments=["--output", str(bag), "--topics", *SAMPLES])
     for name in ("plant", "controller", "reference"):
         graph.start(name, parameters=parameters[name], parameter_file=model_file)
@@ -29,11 +30,13 @@ def run_loop(graph, conductor, model_file, bag, *, late_estimator=False):
     met["/vo2/reference", "/vo2/reference"] = 2
     if late_estimator:
         conductor.wait_for_listeners(met)
+        conductor.wait_for_recorder(recorder, [topic for topic in SAMPLES if topic != "/vo2/estimate"])
         conductor.pause(1.0)
     graph.start("estimator", parameters=parameters["estimator"], parameter_file=model_file)
     if not late_estimator:
         met |= {("/vo2/plant", "/vo2/measurement"): 3, ("/vo2/estimator", "/vo2/estimate"): 2}
         conductor.wait_for_listeners(met)
+        conductor.wait_for_recorder(recorder, SAMPLES)
         conductor.set("/vo2/controller", {"enabled": True})
     conductor.wait_for(
         "the end of the run", lambda: conductor.value("vo2/plant: time", "stamp_s") != "", 60.0
@@ -52,6 +55,16 @@ def contents(bag):
         found.setdefault(message.channel.topic, []).append((message.log_time_ns, digest))
     assert problems == []
     return found
+
+
+def test_a_recorder_that_hears_nobody_is_told_with_its_topics(graph, conductor, tmp_path):
+    recorder = graph.start("record", arguments=["--output", str(tmp_path / "bag"), "--topics", *SAMPLES])
+    graph.start("reference")
+    conductor.wait_for_recorder(recorder, ["/vo2/reference"])
+    with pytest.raises(GraphError, match=r"hears nobody on /vo2/command, /vo2/measurement$"):
+        conductor.wait_for_recorder(
+            recorder, ["/vo2/reference", "/vo2/measurement", "/vo2/command"], timeout_s=2.0
+        )
 
 
 def test_the_same_seed_gives_the_same_bag_bit_for_bit(graph, conductor, model_file, tmp_path):

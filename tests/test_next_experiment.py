@@ -48,7 +48,9 @@ def test_the_experiment_is_played_as_designed_and_diagnosed_with_the_first_recor
     graph, conductor, tmp_path, capfd
 ):
     graph.start("plant", parameters={"preset": DEVICE, "seed": SEED, "effects": json.dumps(CREEP)})
-    _, model = fit_model([quasi_static({}, turns=21, seconds=4.0, seed=1)], DEVICE, plays=6)
+    _, model = fit_model(
+        [quasi_static({}, turns=21, seconds=4.0, seed=1)], DEVICE, plays=6, self_sensing=False
+    )
     conductor.wait_for_nodes(["/vo2/plant"])
     bag, output = tmp_path / "first", tmp_path / "diagnosis"
     write_bag(bag, quasi_static(CREEP, turns=3, seconds=1.0, seed=2))

@@ -49,5 +49,5 @@ def calibration(device_seed=SEED, device=DEVICE, effects=None) -> Recording:
 @cache
 def calibrated(device_seed=SEED, device=DEVICE, read=measured):
     """Model fitted to the calibration, once a session."""
-    _, found = fit_model([read(calibration(device_seed, device))], device, plays=12)
+    _, found = fit_model([read(calibration(device_seed, device))], device, plays=12, self_sensing=False)
     return found

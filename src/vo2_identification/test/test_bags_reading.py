@@ -12,6 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vo2_identification.bags import BagError, read_bag, read_recording
 from vo2_identification.bags.joint_state import JointStates, encode
+from vo2_identification.bags.reading import commanded_current
+from vo2_models.recording import aligned, regular
 
 KINDS = [
     ("mcap", "NONE"),
@@ -157,6 +159,47 @@ def test_commanded_current_governs_the_interval_that_ends_at_the_sample(tmp_path
     recording, _ = read_recording(bag_by_rosbags(tmp_path / "bag", samples))
     # interval k ends at t_k and was begun by the command stamped t_{k-1}; after a missing one the last holds
     np.testing.assert_array_equal(recording["commanded_current"], [np.nan, 10.0, 11.0, 12.0, 12.0, 14.0])
+
+
+def test_a_sample_that_comes_late_is_not_taken_for_one_after_the_next_command():
+    rng = np.random.default_rng(3)
+    instants = 5.0 + 0.01 * np.arange(500)
+    read = instants + rng.uniform(-2.5e-3, 2.5e-3, 500)
+    commands = np.arange(500.0)
+    governing = np.concatenate([[np.nan], commands[:-1]])
+    np.testing.assert_array_equal(commanded_current(instants, commands, read), governing)
+    np.testing.assert_array_equal(
+        commanded_current(read, commands, read), governing
+    )  # stamped with its sample
+    np.testing.assert_array_equal(commanded_current(read, commands, instants), governing)  # late themselves
+    kept = rng.random(500) > 0.05
+    np.testing.assert_array_equal(commanded_current(instants, commands, read[kept]), governing[kept])
+
+
+def test_commands_of_samples_that_were_not_logged_are_kept(tmp_path):
+    samples = []
+    for k, sample in enumerate(measurements(12)):
+        if k not in (3, 6, 7):
+            samples.append(sample)
+        if k != 6:
+            samples.append(Sample("/vo2/command", sample.stamp_ns, ("heater_current",), (10.0 + k,)))
+    recording, _ = read_recording(bag_by_rosbags(tmp_path / "bag", samples))
+    step = recording.sample_period_s
+    assert recording.unread is not None
+    np.testing.assert_allclose((recording.unread[0] - recording.time_s[0]) / step, [3, 6, 7], atol=1e-6)
+    np.testing.assert_array_equal(recording.unread[1], [12.0, 15.0, 15.0])
+    whole = regular(recording)
+    np.testing.assert_array_equal(
+        whole["commanded_current"][1:], [10, 11, 12, 13, 14, 15, 15, 17, 18, 19, 20]
+    )
+    assert np.flatnonzero(np.isnan(whole["film_resistance"])).tolist() == [3, 6, 7]
+    one_later = aligned(recording, -step)
+    np.testing.assert_allclose(
+        one_later["commanded_current"][:-1], [10, 11, 12, 14, 15, 18, 19, 20], atol=1e-9
+    )
+    assert one_later.unread is not None
+    np.testing.assert_allclose(one_later.unread[1], [13.0, 15.0, 17.0], atol=1e-9)
+    assert recording.slice(0, 4).unread[0].size == 1
 
 
 def test_another_namespace_is_found_and_said(tmp_path):

@@ -173,6 +173,7 @@ def test_a_change_of_the_terminals_is_told_from_the_film(parameters) -> None:
     assert answer.location[0].signal == RESISTANCE
 
 
+@pytest.mark.slow
 def test_of_two_effects_that_a_moved_constant_halves_one_is_named_and_the_other_told() -> None:
     """A metal that expands more is nearly a lever that shows less, and a lever may be set anew from day to day.
 
@@ -230,6 +231,7 @@ def test_on_one_loop_what_is_found_has_rivals_and_an_experiment(late_on_one_loop
     assert max(c.probability for c in answer.candidates) < 0.9
 
 
+@pytest.mark.slow
 def test_with_another_recording_the_late_sensor_is_told(late_on_one_loop, parameters) -> None:
     late, loop, _ = late_on_one_loop
     seen = study([loop, concealed(late)], parameters)
@@ -238,6 +240,7 @@ def test_with_another_recording_the_late_sensor_is_told(late_on_one_loop, parame
     assert seen.decision.rival_pairs == ()
 
 
+@pytest.mark.slow
 def test_a_light_that_stays_on_has_no_time_of_going_off(parameters) -> None:
     answer = diagnose([concealed({"laser_heating": {"rise": 0.3, "start": 1.6}})], parameters)
     assert [e.id for e in answer.effects] == ["laser_heating"]
@@ -252,6 +255,7 @@ def test_a_calibration_tells_what_a_current_reading_shows(parameters, read_param
     assert parameters["model.enrichment.current_reading"] == []
 
 
+@pytest.mark.slow
 def test_a_current_that_is_read_back_shows_what_constants_hide(parameters, read_parameters) -> None:
     command = concealed()[HEATER_CURRENT]
     dead = read_back(concealed({"driver_deadzone": {"width": 6e-6}}), command)
@@ -266,6 +270,7 @@ def test_a_current_that_is_read_back_shows_what_constants_hide(parameters, read_
     assert unread.effects == [] or unread.effects[0].id != "driver_deadzone"
 
 
+@pytest.mark.slow
 def test_a_driver_that_ripples_is_unknown_and_seen_in_its_current(read_parameters) -> None:
     command = concealed()
     ripple = 1.0 + 0.02 * np.sin(2.0 * np.pi * 37.0 * command.time_s)
@@ -290,6 +295,7 @@ def test_a_limit_that_only_the_largest_currents_reach_is_found(parameters) -> No
     assert answer.effects[0].parameters["limit"].value == pytest.approx(limit, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_small_late_part_on_top_is_found_with_its_steady_gain(parameters) -> None:
     answer = diagnose(
         [concealed({"creep": {"share": 0.012, "time_constant": 0.4, "gain": 0.012}})], parameters
@@ -324,7 +330,7 @@ def test_a_coarser_converter_is_named_with_little_to_gain(parameters) -> None:
     assert answer.effects[0].parameters["step"].value == pytest.approx(600.0)
 
 
-@pytest.mark.parametrize("straight", [True, False])
+@pytest.mark.parametrize("straight", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_gain_that_drifts_may_settle(parameters, straight) -> None:
     plain = concealed()
     past = plain.time_s / plain.time_s[-1]
@@ -337,7 +343,7 @@ def test_a_gain_that_drifts_may_settle(parameters, straight) -> None:
     assert answer.location[0].signal == RESISTANCE
 
 
-@pytest.mark.parametrize("phase", [0.0, 1.0])
+@pytest.mark.parametrize("phase", [0.0, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_the_recording_tells_which_transition_takes_up_the_heat(parameters, phase) -> None:
     """Loops of the fitted family here: of another mixing law, the metallic fraction is not known that well."""
     current = concealed()[HEATER_CURRENT]
@@ -353,8 +359,8 @@ def test_the_recording_tells_which_transition_takes_up_the_heat(parameters, phas
     ("name", "values"),
     [
         ("sensor_ripple:tip_deflection", {"amplitude": 0.6e-6, "pitch": 7.3e-6, "phase_angle": 2.5}),
-        ("stiffening", {"stiffness": 3e7, "rest_bend": -2.5e3}),
-        ("backlash", {"width": 0.8e-6, "start": -0.6}),
+        pytest.param("stiffening", {"stiffness": 3e7, "rest_bend": -2.5e3}, marks=pytest.mark.slow),
+        pytest.param("backlash", {"width": 0.8e-6, "start": -0.6}, marks=pytest.mark.slow),
     ],
 )
 def test_what_bends_the_shown_deflection_is_told_by_its_own_shape(parameters, name, values) -> None:
@@ -366,6 +372,7 @@ def test_what_bends_the_shown_deflection_is_told_by_its_own_shape(parameters, na
     assert abs(found[size].value) == pytest.approx(values[size], rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_light_that_is_always_on_is_told_as_a_constant(parameters) -> None:
     answer = diagnose([concealed({"laser_heating": {"rise": 0.5}})], parameters)
     assert answer.verdict == "drifted" and answer.effects == []
@@ -386,6 +393,7 @@ def test_a_light_that_goes_on_and_off_is_found_with_its_times(parameters) -> Non
     assert found["stop"].value == pytest.approx(2.9, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_steady_light_beside_a_drift_is_told_with_the_constant_that_hides_it(parameters) -> None:
     answer = diagnose(
         [concealed({"ambient_drift": {"rate": 0.3}, "laser_heating": {"rise": 0.5}})], parameters

@@ -23,7 +23,7 @@ def parameters():
 
 @pytest.fixture(scope="module")
 def coarse_model():
-    return fit_model([measured(calibration(effects=COARSE))], DEVICE, plays=12)[1]
+    return fit_model([measured(calibration(effects=COARSE))], DEVICE, plays=12, self_sensing=False)[1]
 
 
 def with_tip(recording: Recording, change) -> Recording:

@@ -224,7 +224,7 @@ def model_file(tmp_path_factory):
     names = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)
     recording = Recording(excited.time_s, {name: excited[name] for name in names}, "integrated")
     path = tmp_path_factory.mktemp("model") / "model.yaml"
-    save_model_parameters(path, fit_model([recording], "integrated", plays=12)[1])
+    save_model_parameters(path, fit_model([recording], "integrated", plays=12, self_sensing=False)[1])
     return path
 
 

@@ -225,9 +225,11 @@ def test_another_namespace_and_a_topic_whose_type_the_graph_knows(graph, tmp_pat
     with running(RECORD, *topics, *options) as process:
         wait_for_recorder(measurement, health)
         measurement.publish(sample(1))
+        told = [process.stdout.readline(), process.stdout.readline()]
         health.publish(DiagnosticArray())
         _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
+    assert told[0].startswith("Recording ") and told[1].startswith("Hears /rig/")
     assert counted(tmp_path / "bag") == {"/rig/measurement": 1, "/rig/health": 1}
     recordings, _ = read_bag(tmp_path / "bag", namespace="/rig")
     assert len(recordings["measurement"]) == 1

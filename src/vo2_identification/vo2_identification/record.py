@@ -19,13 +19,17 @@ if TYPE_CHECKING:
 
 from vo2_models.command_line import Progress, refuse
 
-__all__ = ["main"]
+__all__ = ["HEARS", "main"]
+
+HEARS = "Hears"
+"""Begins a line of the output that tells topics whose publisher the recorder has met: what was sent earlier may be missing."""
 
 _DESCRIPTION = """
 Record topics into a rosbag2 bag until Ctrl-C, SIGTERM, --duration or --messages. The bag is complete on disk
 twice a second: if the process is killed or the disk is full, any tool still reads it up to there. Log times are
-the stamps of the samples, so a run in simulated time gives the same bag every time. What is missing is told while
-recording and at the end; a bag that lacks messages ends with status 1.
+the stamps of the samples, so a run in simulated time gives the same bag every time. A line "Hears TOPIC" tells
+from when on a topic's publisher is heard. What is missing is told while recording and at the end; a bag that
+lacks messages ends with status 1.
 """
 _ARRIVE_S = 0.3  # a few times what a publisher takes to notice that something is to be sent again
 _POLL_S = 0.005
@@ -117,6 +121,7 @@ def _take_all(recorder: Recorder, options: argparse.Namespace, stop: StopFlag, p
     period = recorder.bag.flush_period_s
     started = shown = time.monotonic()
     count_shown = lost_told = 0
+    met: set[str] = set()
     while not stop.is_set and recorder.failure is None:
         # waking up for every message would take time from the loop beside it: they wait for each other
         time.sleep(_GATHER_S)
@@ -128,6 +133,10 @@ def _take_all(recorder: Recorder, options: argparse.Namespace, stop: StopFlag, p
             break
         if now - shown >= period:
             recorder.idle()
+            if new := recorder.met - met:
+                met |= new
+                progress.clear()
+                print(f"{HEARS} {', '.join(sorted(new))}", flush=True)
             rate = (recorder.count - count_shown) / (now - shown)
             progress(None, f"{recorder.count} messages in {now - started:.0f} s, {rate:.0f} per second now")
             shown, count_shown = now, recorder.count

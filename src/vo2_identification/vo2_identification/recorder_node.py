@@ -120,6 +120,11 @@ class Recorder(Node):
         """Topics from which nothing has come yet."""
         return [topic for topic in self._types if topic not in self._numbers]
 
+    @property
+    def met(self) -> set[str]:
+        """Topics whose publisher this node has met: a publisher that has met it only sends into the void until then."""
+        return {topic for topic, each in self._subscriptions_by_topic.items() if each.get_publisher_count()}
+
     def idle(self) -> None:
         """Do what is due twice a second: bring waiting messages to disk, look for topics still silent or new."""
         try:

@@ -27,9 +27,9 @@ from vo2_interface.topics import DIAGNOSTICS, LATCHED_QOS, READ_QOS, REFERENCE, 
 __all__ = ["Bench", "bench", "free_domain", "hear_ctrl_c"]
 
 _DOMAINS = itertools.count(os.getpid())
-_HELD: deque[IO[str]] = deque(maxlen=30)
-"""Locks of the last domains of this process: three test runs beside each other leave some of the hundred free."""
-_TIMEOUT_S = 20.0
+_HELD: deque[IO[str]] = deque(maxlen=10)
+"""Locks of the last domains of this process: eight test runs beside each other leave some of the hundred free."""
+_TIMEOUT_S = 60.0
 
 
 def free_domain() -> int:
@@ -39,7 +39,10 @@ def free_domain() -> int:
     ------
     RuntimeError : all hundred are taken.
     """
-    for number in itertools.islice(_DOMAINS, 100):
+    if len(_HELD) == _HELD.maxlen:
+        _HELD.popleft().close()
+    # three rounds: while one goes on, other runs let domains go behind it and take those before it
+    for number in itertools.islice(_DOMAINS, 300):
         domain = 1 + number * 37 % 100
         lock = (Path(tempfile.gettempdir()) / f"vo2_test_domain_{domain}.{os.getuid()}").open("w")
         try:

@@ -18,17 +18,17 @@ from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.loop_shape import _block_covariance
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of, rounded_with_noise
-from vo2_models.diagnosis.nuisance import Coverage, constants_of, coverage
+from vo2_models.diagnosis.nuisance import Constant, Coverage, constants_of, coverage
 from vo2_models.diagnosis.pairs import _untried, option_of, trace
-from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.part import prepare
-from vo2_models.diagnosis.problem import QUICKEST, linearise_problem
+from vo2_models.diagnosis.problem import LATEST, QUICKEST, linearise_problem
 from vo2_models.diagnosis.propagate_correction import as_sensed, corrected_film, propagate_correction
 from vo2_models.diagnosis.report import odds_of_rival
 from vo2_models.diagnosis.tangent import Tangent
 from vo2_models.effects import effects
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.digest import CalibrationDigest
+from vo2_models.numerics.parallel import parallel_map
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 BEHIND = ("terminals", "structure", "sensor")
@@ -273,6 +273,21 @@ def test_no_residual_makes_the_device_much_quicker_than_it_was() -> None:
     moved = problem.moved(np.full(len(problem.constants), -1e3))
     before = {c.name: c.value for c in constants_of(problem.nominal)}
     assert moved["thermal.time_constant"] == QUICKEST * before["thermal.time_constant"]
+
+
+def test_no_residual_asks_for_a_delay_that_the_simulation_cannot_hold() -> None:
+    problem, lag = _changed({}), "driver.dead_time"
+    problem = replace(problem, constants=(*problem.constants, Constant(lag, "s", 0.0, 1e-5)))
+    shift = np.where([c.name == lag for c in problem.constants], 1e9, 0.0)
+    longest = LATEST * problem.parts[0].dt
+    assert problem.moved(shift)[lag] == longest
+    found = hypotheses(_changed({}), "integrated", _changed({}).residual)
+    hypothesis = next(h for h in found if h.record.id == "dead_time")
+    assert hypothesis.moved("delay", longest, 1e9) == longest
+    # both at their ends, and simulated between the samples for a slow driver
+    slow = {"driver_slew": {"rate": 1.0}}
+    (response,) = problem.responses(hypothesis.effects({"delay": longest}) | slow, shift)
+    assert np.all(np.isfinite(response.temperature))
 
 
 def test_what_stays_on_is_never_switched_off() -> None:

@@ -97,3 +97,21 @@ def test_a_misfit_that_wanders_is_told_from_noise_and_from_another_loop(calibrat
     again = loop_shapes(nominal, chosen)[RESISTANCE]
     assert again.misfit == shape.misfit, "what the calibration chose stays when the noise is refined"
     assert again.left_out == pytest.approx(shape.left_out)
+
+
+@pytest.mark.parametrize(("samples", "many"), [(0, 0), (40, 7), (4000, 12)])
+def test_main_directions_are_the_eigenvectors_of_the_whole_matrix(calibration, samples, many):
+    """Fewer samples than weights, more, and none that says anything."""
+    shape = _shape(calibration, np.zeros(calibration[0].size - 1))
+    path = _path(np.random.default_rng(9), 4000)[:samples]
+    features = (
+        1e3 * shape.basis.features(path, span=shape.span) if samples else np.zeros((1, shape.mean.size))
+    )
+    gram = features.T @ features
+    inverse = np.linalg.inv(shape.factor)
+    value, vector = np.linalg.eigh(inverse @ gram @ inverse.T)
+    wanted = inverse.T @ vector[:, value > 0.5][:, -12:]
+    found = shape.main_directions(gram, most=12)
+    assert found.shape == wanted.shape and found.shape[1] == many
+    sign = np.sign(np.sum(found * wanted, axis=0))
+    np.testing.assert_allclose(found * sign, wanted, atol=1e-6 * np.max(np.abs(wanted), initial=0.0))

@@ -11,14 +11,13 @@ from vo2_models.diagnosis.breakdown import one_loop, turning_points
 from vo2_models.diagnosis.check import Unusable, check_recording
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.next_experiment import library
-from vo2_models.diagnosis.noise import NoiseModel, fit_noise, level_from_differences
+from vo2_models.diagnosis.noise import NoiseModel, fit_noise, level_from_differences, outliers
 from vo2_models.diagnosis.nominal import Nominal
-from vo2_models.diagnosis.part import regular
 from vo2_models.diagnosis.report import probabilities
 from vo2_models.diagnosis.result import SCHEMA, validate
 from vo2_models.effects.adc_quantization import value_step
 from vo2_models.hysteresis.play_bank import PlayBank
-from vo2_models.recording import Recording
+from vo2_models.recording import Recording, regular, regular_instants
 
 ANSWER = {
     "schema": SCHEMA,
@@ -188,7 +187,7 @@ def test_few_samples_and_jittered_stamps_are_limits() -> None:
     whole = recording()
     jittered = replace(whole, time_s=whole.time_s + rng.uniform(-0.15e-3, 0.15e-3, 2000))
     (found,) = check_recording(jittered, model())
-    assert found.kind == "jitter" and "interpolated onto a regular grid" in found.text
+    assert found.kind == "jitter" and "moved onto a regular grid" in found.text
 
 
 def test_jittered_stamps_are_interpolated_and_gaps_stay_missing() -> None:
@@ -203,6 +202,68 @@ def test_jittered_stamps_are_interpolated_and_gaps_stay_missing() -> None:
     assert np.max(np.abs(even["x"] - np.sin(2 * np.pi * even.time_s / 0.2))[good]) < 1e-3
     inside = (even.time_s > stamps[999] + 2e-3) & (even.time_s < stamps[1100] - 2e-3)
     assert not good[inside].any() and good[~inside].mean() > 0.99
+
+
+@pytest.mark.parametrize("samples", [300, 20_000])
+@pytest.mark.parametrize("scatter", ["uniform", "normal"])
+def test_samples_that_come_early_or_late_are_moved_to_the_clock_behind_them(
+    samples: int, scatter: str
+) -> None:
+    rng = np.random.default_rng(5)
+    instants = 7.0 + 1e-3 * np.arange(samples)
+    late = 1e-3 * (
+        rng.uniform(-0.25, 0.25, samples) if scatter == "uniform" else rng.normal(0, 0.12, samples)
+    )
+    keep = rng.random(samples) > 0.05
+    keep[[0, -1]] = True
+
+    def course(at: np.ndarray) -> np.ndarray:
+        return np.asarray(3e4 * 10 ** np.sin(2 * np.pi * at / 0.1))
+
+    read, noise = course(instants + late), rng.normal(0.0, 1.0, samples)
+    read[samples // 2] *= 3.0
+    command = np.floor(instants / 0.05)
+    stamps = (instants + late)[keep]
+    channels = {
+        "film_resistance": read[keep],
+        "tip_deflection": noise[keep],
+        "commanded_current": command[keep],
+    }
+    even = regular(Recording(stamps, channels, ""))
+    clock = regular_instants(stamps)
+    assert clock is not None and clock[1] == pytest.approx(1e-3, rel=2.0 / samples**1.5)
+    assert np.max(np.abs(even.time_s - instants)) < 0.06e-3
+    assert np.array_equal(even["commanded_current"][keep], command[keep])
+    assert np.flatnonzero(np.isnan(even["film_resistance"])).tolist() == np.flatnonzero(~keep).tolist()
+    off = np.abs(np.log10(even["film_resistance"] / course(instants)))
+    unmoved = np.abs(np.log10(read / course(instants)))
+    fine = keep & (np.abs(np.arange(samples) - samples // 2) > 0)
+    assert np.max(off[fine]) < 5e-3 and np.std(off[fine]) < 0.1 * np.std(unmoved[fine])
+    assert np.nanstd(even["tip_deflection"]) == pytest.approx(np.std(noise[keep]), rel=0.04)
+
+
+def test_stamps_that_follow_no_clock_have_none() -> None:
+    rng = np.random.default_rng(4)
+    assert regular_instants(np.cumsum(rng.uniform(0.6e-3, 1.4e-3, 3000))) is None
+    assert regular_instants(1e-3 * np.arange(3000.0)) is None
+    assert regular_instants(np.round(3.0 + 1e-3 * np.arange(3000.0), 9)) is None
+    waits = np.cumsum(rng.normal(1e-3, 2e-5, 3000))  # a loop that waits for a period after its work
+    keep = rng.random(3000) > 0.05
+    keep[[0, -1]] = True
+    even = regular(
+        Recording(
+            waits[keep], {"tip_deflection": np.flatnonzero(keep) * 1.0, "commanded_current": waits[keep]}, ""
+        )
+    )
+    assert len(even) == 3000 and np.array_equal(even["tip_deflection"][keep], np.flatnonzero(keep))
+
+
+def test_a_drive_that_is_only_logged_was_read_with_what_it_drives() -> None:
+    late = np.random.default_rng(4).uniform(-0.05, 0.05, 2000)
+    time = 1e-3 * (np.arange(2000) + late)
+    logged = Recording(time, {"heater_current": np.sin(time), "tip_deflection": np.sin(time)}, "")
+    even = regular(logged)
+    assert np.array_equal(even["tip_deflection"], even["heater_current"])
 
 
 def test_gaps_are_limits_and_become_missing_samples() -> None:
@@ -272,3 +333,32 @@ def test_proposed_excitations_stay_within_the_operating_range(device) -> None:
         current = excitable.current(nominal.sample_period, nominal.operating_range[0])
         assert low - 1e-9 <= current.min() and current.max() <= high + 1e-9, excitable.name
         assert 2000 < current.size < 12_000, (excitable.name, current.size)
+
+
+def test_samples_that_stand_alone_are_found_in_noise_and_in_what_an_effect_leaves() -> None:
+    rng = np.random.default_rng(8)
+    count = 4000
+    edges = 10.0 * np.repeat(rng.normal(size=count // 40), 40)  # an effect that goes off and on
+    answer = lfilter(
+        [1.0], [1.0, -0.55], 20.0 * (np.arange(count) % 50 == 0)
+    )  # a lag of two samples, at every step
+    ripple = 5.0 * np.sin(2 * np.pi * np.arange(count) / 2.7)
+    for left, missing in ((np.zeros(count), 0.05), (edges, 0.05), (answer, 0.0), (ripple, 0.05)):
+        residual = left + rng.normal(size=count)
+        residual[rng.random(count) < missing] = np.nan
+        assert not outliers(residual).any()
+        there = np.flatnonzero(np.isfinite(residual))[20:-20:400]
+        residual[there] += 200.0 * rng.choice([-1, 1], there.size)
+        assert set(np.flatnonzero(outliers(residual))) == set(there)
+
+
+def test_what_happens_often_or_is_a_converters_step_is_no_outlier() -> None:
+    rng = np.random.default_rng(8)
+    residual = rng.normal(size=4000)
+    often = residual + 60.0 * (rng.random(4000) < 0.05)
+    assert not outliers(often).any()
+    flips = 7.0 * (np.arange(4000) % 211 == 0) + 0.01 * residual
+    assert outliers(flips).any() and not outliers(flips, 7.0).any()
+    assert not outliers(np.array([0.0, 100.0, 0.0])).any()
+    late = residual + 60.0 * (np.arange(4000) % 211 == 0)
+    assert outliers(late).any() and not outliers(late, 0.0, np.full(4000, 60.0)).any()

@@ -55,6 +55,11 @@ def model():
     return fit_model([recorded(1)], DEVICE.key)[1]
 
 
+@pytest.fixture(scope="module")
+def unchanged(model):
+    return study([recorded(2)], model)
+
+
 @pytest.mark.parametrize(
     ("given", "finding"),
     [({}, ""), ({"every": 15, "cycles": 2}, "few"), ({"jitter": 0.3}, "jitter")],
@@ -70,6 +75,30 @@ def test_an_unchanged_device_agrees_and_nothing_is_named(model, given, finding):
     assert not finding or finding in [f.kind for f in found.reading.findings]
 
 
+@pytest.mark.parametrize(
+    ("excess", "channel", "left_out", "own", "why"),
+    [
+        (0.1, 0.2, 0.0, 9.0, "no more than an unchanged device shows"),
+        (0.3, 0.3, 0.0, 1.5, "1.5 times the error of the fit on held-out parts of its calibration, as repeats may be"),
+        (0.3, 0.3, 0.5, 9.0, "miss of a stretch of their calibration that was left out, 50 %"),
+        (0.2, 0.5, 0.5, 9.0, "miss of a stretch of their calibration that was left out, 50 %"),
+    ],
+)  # fmt: skip
+def test_agreement_says_what_the_residual_is_measured_by(unchanged, excess, channel, left_out, own, why):
+    located = replace(
+        unchanged.located,
+        total_excess=excess,
+        excess={TIP_DEFLECTION: channel},
+        left_out=left_out,
+        own_misfit={TIP_DEFLECTION: own},
+    )
+    for verdict in ("agrees", "drifted"):
+        decision = replace(unchanged.decision, verdict=verdict, chosen=None, unlike_noise=False)
+        told = report._summary(replace(unchanged, located=located, decision=decision), [], [])
+        assert f"the residual exceeds the noise by {100 * excess:.0f} % of its power, " in told
+        assert told.endswith(f"{why}.")
+
+
 def test_a_large_change_differs(model):
     span = np.ptp(recorded(2)[TIP_DEFLECTION])
     found = study([recorded(2, change=lambda y: np.minimum(y, y.max() - 0.3 * span))], model)
@@ -78,9 +107,9 @@ def test_a_large_change_differs(model):
     assert found.located.own_misfit[TIP_DEFLECTION] > found.limits.own_misfit
 
 
-def test_a_name_must_be_more_likely_than_everything_else_together(model, monkeypatch):
+def test_a_name_must_be_more_likely_than_everything_else_together(unchanged, monkeypatch):
     """Without body no rival is told beside a name: one that is as likely as another is none."""
-    found = study([recorded(2)], model)
+    found = unchanged
     named = replace(
         found, decision=replace(found.decision, chosen=SimpleNamespace(keys=("cantilever_resonance",)))
     )
@@ -115,9 +144,9 @@ def _shape(group: str) -> Shape:
     return Shape(TIP_DEFLECTION, group, group, 1.0, 1.0)
 
 
-def test_an_unnamed_effect_has_no_family_that_the_device_has_not(model):
+def test_an_unnamed_effect_has_no_family_that_the_device_has_not(unchanged):
     """Of a loop and its one sensor neither structure nor film can be told; of a device whose file tells a structure it can."""
-    found = study([recorded(2)], model)
+    found = unchanged
     problem, excess = found.located.problem, {TIP_DEFLECTION: 9.0}
     groups = [*BY_DEPENDENCE[TIP_DEFLECTION], "time and value"]
     families = {group: family_of_unnamed(problem, excess, [_shape(group)]) for group in groups}
@@ -142,8 +171,8 @@ def test_a_gain_that_walks_is_the_sensor_s(model):
     assert effect.id in ("sensor_gain_drift", "unknown") and effect.family == f"sensor:{TIP_DEFLECTION}"
 
 
-def test_a_response_that_is_missing_is_named_as_the_device_names_it_and_units_are_its_own(model):
-    found = study([recorded(2)], model)
+def test_a_response_that_is_missing_is_named_as_the_device_names_it_and_units_are_its_own(unchanged):
+    found = unchanged
     both = described(
         {**json.loads(DEVICE.document), "responses": {"stroke": {"unit": "m"}, "ohms": {"unit": "ohm"}}}, "x"
     )

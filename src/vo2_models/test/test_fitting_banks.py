@@ -143,7 +143,6 @@ def test_grid_fills_gaps_and_prefers_commands():
     grid = on_grid(_recording())
     assert grid.dt == pytest.approx(0.01)
     assert grid.current.size == 45
-    assert grid.gaps == 5
     assert grid.commanded
     assert grid.current[0] == pytest.approx(0.00401)
     assert grid.current[1] == pytest.approx(0.004 + 0.004 / 39)
@@ -155,6 +154,16 @@ def test_grid_fills_gaps_and_prefers_commands():
         on_grid(Recording(np.arange(20.0), {RESISTANCE: np.ones(20)}))
     with pytest.raises(ValueError, match="16"):
         on_grid(_recording().slice(0, 10))
+
+
+def test_grid_counts_samples_that_come_early_or_late_right():
+    count = 20_000
+    late = np.random.default_rng(1).uniform(-0.25, 0.25, count)
+    current = np.arange(count) % 977 + 1.0
+    time = 0.01 * (np.arange(count) + late)
+    grid = on_grid(Recording(time, {COMMANDED_CURRENT: current, TIP_DEFLECTION: 100.0 * time}, "integrated"))
+    assert np.array_equal(grid.current, current)
+    assert np.allclose(grid.measured[TIP_DEFLECTION], np.arange(count), atol=0.02)
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.5, 0.9])

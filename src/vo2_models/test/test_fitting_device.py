@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 from vo2_models.device import preset, truth
 from vo2_models.identification.device_fit import fit_device
 from vo2_models.identification.excitation import damped_oscillation, random_levels
 from vo2_models.identification.grid import on_grid
+from vo2_models.identification.model_fit import fit_model
 from vo2_models.identification.problem import Problem
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
 
@@ -179,3 +181,25 @@ def test_problem_refuses_unknown_names(calibrated):
     for name, word in (("thermal.colour", "thermal.colour"), ("effects.creep.sharee", "sharee")):
         with pytest.raises(ValueError, match=word):
             Problem(calibrated, [grid], [name])
+
+
+def test_outliers_are_left_out_and_the_recordings_need_not_have_the_same_channels():
+    device = truth("integrated", seed=6)
+    first, second = (device.simulate(_calibration("integrated"), seed=seed) for seed in (1, 2))
+    film = {name: second[name] for name in (HEATER_CURRENT, RESISTANCE)}
+    film[RESISTANCE] = film[RESISTANCE] * np.where(np.arange(len(second)) % 301 == 300, 3.0, 1.0)
+    threads = set()
+
+    def look(_what, _share):
+        threads.update(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+
+    with threadpool_limits(2, user_api="blas"):
+        result, _ = fit_model(
+            [first, Recording(second.time_s, film, "integrated")],
+            "integrated",
+            self_sensing=False,
+            progress=look,
+        )
+    assert threads == {1}
+    (told,) = [note for note in result.notes if "outliers" in note]
+    assert f"outliers in {RESISTANCE}" in told and f" {len(second) // 301} of them" in told

@@ -54,3 +54,33 @@ def test_a_kernel_is_loaded_again_and_compiled_anew_after_a_change_in_any_file_i
     (package / "inner.py").write_text((package / "inner.py").read_text().replace("FACTOR * x", "FACTOR - x"))
     assert answer(package) == (4.0, 0)
     assert answer(package) == (4.0, 1)
+
+
+def test_a_ctrl_c_that_a_callback_drops_comes_again():
+    """In a callback of C, as LLVM's are, Python drops what is raised; twice here."""
+    program = (
+        "import ctypes, os, signal, sys, time\n"
+        "import vo2_models.numerics.kernel\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "@ctypes.CFUNCTYPE(None)\n"
+        "def callback():\n"
+        "    print('within', flush=True)\n"
+        "    time.sleep(10)\n"
+        "try:\n"
+        "    signal.setitimer(signal.ITIMER_REAL, 0.05)\n"
+        "    signal.signal(signal.SIGALRM, signal.default_int_handler)\n"
+        "    callback()\n"
+        "    callback()\n"
+        "    time.sleep(20)\n"
+        "except KeyboardInterrupt:\n"
+        "    sys.exit(130)\n"
+    )
+    shown = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert shown.returncode == 130 and shown.stderr == ""
+    assert shown.stdout == "within\nwithin\n"
+
+
+def test_other_errors_of_callbacks_are_shown_as_before():
+    program = "import ctypes\nimport vo2_models.numerics.kernel\nctypes.CFUNCTYPE(None)(lambda: 1 / 0)()\n"
+    shown = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert shown.returncode == 0 and "ZeroDivisionError" in shown.stderr

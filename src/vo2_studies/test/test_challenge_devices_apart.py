@@ -27,6 +27,7 @@ def test_limiting_loops_are_no_second_thermal_mode():
     assert found.effects == []
 
 
+@pytest.mark.slow
 def test_another_day_of_a_device_with_limiting_loops_is_no_heat_loss():
     found = answer("proximity", 20261303, 4)
     assert found.verdict == "drifted"
@@ -45,10 +46,14 @@ def test_a_room_far_off_is_found():
 @pytest.mark.parametrize(
     ("index", "name"),
     [
-        (54, "driver_saturation"),  # found beside a drift only, which alone explains less and is none
-        (40, "training_drift"),  # its form leaves a little over, which a light seemed to explain
-        (3, "source_compression"),  # a drift with any course fits as well, for 24 parameters more
-        (19, "dead_time"),  # which does not move from day to day
+        # found beside a drift only, which alone explains less and is none
+        pytest.param(54, "driver_saturation", marks=pytest.mark.slow),
+        # its form leaves a little over, which a light seemed to explain
+        pytest.param(40, "training_drift", marks=pytest.mark.slow),
+        # a drift with any course fits as well, for 24 parameters more
+        pytest.param(3, "source_compression", marks=pytest.mark.slow),
+        # which does not move from day to day
+        (19, "dead_time"),
     ],
 )
 def test_one_effect_is_told_alone(index, name):

@@ -15,6 +15,8 @@ from vo2_models.recording import (
     STAGE_TEMPERATURE,
     TIP_DEFLECTION,
     Recording,
+    counted,
+    regular_instants,
 )
 
 from vo2_identification.bags.channels import JOINT_STATE, Channel
@@ -27,6 +29,8 @@ __all__ = ["KNOWN_CHANNELS", "ROLES", "commanded_current", "read_bag", "read_rec
 
 ROLES = ("command", "measurement", "estimate", "reference")
 """Last parts of the topic names that carry samples."""
+_HELD = 4.0
+"""Sample periods for which a command that was followed by none is taken as held by the driver, and not as lost to the log."""
 
 KNOWN_CHANNELS = (
     HEATER_CURRENT,
@@ -79,7 +83,8 @@ def read_recording(
         return measurement, problems
     channels = dict(measurement.channels)
     channels[COMMANDED_CURRENT] = commanded_current(command.time_s, command[drive], measurement.time_s)
-    return Recording(measurement.time_s, channels, measurement.device), problems
+    unread = _unread(command.time_s, command[drive], measurement.time_s)
+    return Recording(measurement.time_s, channels, measurement.device, unread), problems
 
 
 def read_bag(
@@ -133,14 +138,52 @@ def commanded_current(
     """Return the command that governed the interval ending at each of `time_s` (n,) [A].
 
     A command carries the stamp of the sample that it answers and holds from there on: the interval that ends
-    at t_k is governed by the last command with a stamp before t_k. NaN where none has come yet.
+    at t_k is governed by the last command with a stamp before t_k. NaN where none has come yet. Of stamps that come a
+    little early or late the regular instant counts, and a command within half a period of it is stamped with it.
 
     Parameters
     ----------
     command_time_s : (m,) stamps of the commands [s]
     """
-    last = np.searchsorted(command_time_s, time_s, side="left") - 1
+    last = _last_before(command_time_s, time_s)[1]
     return np.where(last >= 0, command[np.maximum(last, 0)], np.nan)
+
+
+def _last_before(
+    command_time_s: NDArray[np.float64], time_s: NDArray[np.float64], *, missing: bool = False
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Instants of the stamps (n,) [s], or those missing between them, and the command that governs the interval before each.
+
+    Where either stamps jitter, a command counts as stamped with the instant that it is nearest to.
+    """
+    if time_s.size < 2:
+        return time_s, np.searchsorted(command_time_s, time_s, side="left") - 1
+    clock = regular_instants(time_s)
+    start, period, place = clock or counted(time_s)
+    instants = np.asarray(start + place * period, dtype=np.float64) if clock else time_s
+    if missing:
+        number = np.setdiff1d(np.arange(place[-1]), place)
+        instants = np.asarray(np.interp(number, place, instants), dtype=np.float64)
+    early = 0.0
+    if clock or regular_instants(command_time_s):
+        early = 0.5
+    elif missing:
+        early = 1e-3  # stamps are rounded to nanoseconds
+    return instants, np.searchsorted(command_time_s, instants - early * period, side="left") - 1
+
+
+def _unread(
+    command_time_s: NDArray[np.float64], command: NDArray[np.float64], time_s: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Instants in gaps of the stamps (n,) [s] for which there is a command of their own, and the command [A]."""
+    if time_s.size < 2 or not command_time_s.size:
+        return None
+    period = float(np.median(np.diff(time_s)))
+    if not 1.5 * period < np.max(np.diff(time_s)) or time_s[-1] - time_s[0] > 2.0 * time_s.size * period:
+        return None
+    instants, last = _last_before(command_time_s, time_s, missing=True)
+    own = (last >= 0) & (instants - command_time_s[last] < _HELD * period)
+    return instants[own], command[last[own]]
 
 
 def _topic_of(role: str, namespace: str, samples: dict[str, Samples], problems: list[Problem]) -> str | None:

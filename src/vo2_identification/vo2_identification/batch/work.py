@@ -86,7 +86,7 @@ def work(task: Task) -> Outcome:
         from vo2_models.effects.catalogue import VARIABLE
 
         os.environ[VARIABLE] = task.effects
-    from vo2_models.diagnosis.parallel import use_cores
+    from vo2_models.numerics.parallel import use_cores
 
     use_cores(task.cores)
     note, told = bag_note(Path(task.bag))

@@ -14,9 +14,17 @@ from vo2_models.diagnosis.noise import level_from_differences
 from vo2_models.diagnosis.nominal import Nominal, judged
 from vo2_models.effects.adc_quantization import value_step
 from vo2_models.identification.plausibility import impossible, unusual
-from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
+from vo2_models.recording import (
+    COMMANDED_CURRENT,
+    HEATER_CURRENT,
+    JITTERED,
+    RESISTANCE,
+    TIP_DEFLECTION,
+    Recording,
+    jitter_of,
+)
 
-__all__ = ["JITTERED", "SHORTEST", "Finding", "Unusable", "check_recording", "jitter_of"]
+__all__ = ["SHORTEST", "Finding", "Unusable", "check_recording"]
 
 Floats = NDArray[np.float64]
 COPIED = 1e-6
@@ -25,8 +33,6 @@ FAR = 100.0
 """Factor between the largest value of a channel and that of the device, either way, within which it can be this one."""
 SHORTEST, FEW = 50, 500
 """Fewest samples of a recording that can be judged, and those below which it is said what so few cannot tell."""
-JITTERED = 0.1
-"""Share of the sample periods that are off by over a fifth, from which a recording is laid on a regular grid."""
 UNSTEADY = 0.5
 """The same, from which stamps are no clock: half of them are that far from any period."""
 
@@ -127,23 +133,11 @@ def _mixed_up(recording: Recording, nominal: Nominal) -> str:
     return ""
 
 
-def jitter_of(recording: Recording) -> float:
-    """Return the share of the sample periods, gaps apart, that differ from the median by over a fifth of it.
-
-    Parameters
-    ----------
-    recording : its times are read
-    """
-    steps = np.diff(recording.time_s) / recording.sample_period_s
-    steps = steps[steps <= 1.5]
-    return float(np.mean(np.abs(steps - 1.0) > 0.2)) if steps.size else 1.0
-
-
 def _clock(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:
     steps = np.diff(recording.time_s)
     dt = recording.sample_period_s
     gaps = steps > 1.5 * dt
-    jitter = jitter_of(recording)
+    jitter = jitter_of(recording.time_s)
     if jitter > UNSTEADY:
         raise Unusable(
             f"{name}: {100 * jitter:.0f} % of the sample periods differ from the median {dt:.4g} s by over a fifth: "
@@ -168,7 +162,7 @@ def _clock(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:
             Finding(
                 "jitter",
                 f"{name}: {100 * jitter:.0f} % of the sample periods differ from the median {dt:.4g} s by over a fifth: "
-                f"values are interpolated onto a regular grid, and lags, delays and modes below {2 * dt:.2g} s cannot be told",
+                f"values are moved onto a regular grid, and lags, delays and modes below {2 * dt:.2g} s cannot be told",
             )
         )
     if np.any(gaps):
@@ -176,8 +170,8 @@ def _clock(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:
         found.append(
             Finding(
                 "gap",
-                f"{np.count_nonzero(gaps)} gaps, the first at {first:.6g} s, {100 * missing:.1f} % of the time: the "
-                "current is taken as held over them",
+                f"{np.count_nonzero(gaps)} gaps, the first at {first:.6g} s, {100 * missing:.1f} % of the time: where "
+                "no command is known, the current is taken as held over them",
             )
         )
     return found

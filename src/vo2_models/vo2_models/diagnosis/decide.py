@@ -211,8 +211,11 @@ def _unnamed(
 ) -> Decision:
     """No name: agreement, moved constants, or an excess that only a correction without a name describes."""
     problem, unnamed = located.problem, None
-    loud = located.total_excess > limits.excess or max(located.excess.values()) > limits.channel_excess
-    loud = loud and located.total_excess > located.left_out and not located.within_misfit(limits)
+    loud = (
+        located.is_large(limits)
+        and located.total_excess > located.left_out
+        and not located.within_misfit(limits)
+    )
     if loud:
         clock.say("shaping what has no name")
         unnamed = fit_nonparametric_correction(problem, located.remaining, block_folds(problem))

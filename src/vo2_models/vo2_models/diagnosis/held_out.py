@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.diagnosis.explain import Explanation, fit_jointly
-from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.problem import LinearisedProblem
+from vo2_models.numerics.parallel import parallel_map
 
 __all__ = ["HeldOut", "block_folds", "held_out", "recording_folds"]
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from vo2_models.device.coefficients import HUGE
-from vo2_models.diagnosis.problem import LinearisedProblem
+from vo2_models.diagnosis.problem import LATEST, LinearisedProblem
 from vo2_models.effects import Effect, effects
 from vo2_models.effects.record import CHOICE
 from vo2_models.parameters import Parameter
@@ -55,6 +55,7 @@ class Hypothesis:
     fastest : half the sampling rate [Hz]; what oscillates faster is not seen to oscillate
     slowest : longest time constant [s]; what takes longer is seen as a straight line, or not to move
     widest : largest pitch of a ripple, in the signal's unit
+    latest : longest delay of the current [s]
     """
 
     record: Effect
@@ -64,6 +65,7 @@ class Hypothesis:
     fastest: float = np.inf
     slowest: float = np.inf
     widest: float = np.inf
+    latest: float = np.inf
 
     @property
     def key(self) -> str:
@@ -103,7 +105,7 @@ class Hypothesis:
         )
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """Physical range, of a frequency, a time constant and a pitch what the samples can show of it."""
+        """Physical range, of a frequency, a time constant, a delay and a pitch what the samples can show of it."""
         parameter = self.parameter(name)
         upper = float(parameter.upper or 0.0)
         if parameter.unit == "Hz":
@@ -112,6 +114,8 @@ class Hypothesis:
             upper = min(upper, self.slowest)
         elif self._is_pitch(name):
             upper = min(upper, self.widest)
+        elif "delay" in self.record.hooks:
+            upper = min(upper, self.latest)
         return float(parameter.lower or 0.0), upper
 
     def _is_pitch(self, name: str) -> bool:
@@ -168,7 +172,8 @@ def hypotheses(problem: LinearisedProblem, device: str, residual: Floats) -> lis
                 fastest = 0.5 / max(part.dt for part in problem.parts)
                 slowest = SLOWEST * max(part.size * part.dt for part in problem.parts)
                 widest = float(np.ptp(_values(problem, signal))) / CRESTS if signal else np.inf
-                one = Hypothesis(record, signal, tuple(starts), scales, fastest, slowest, widest)
+                latest = LATEST * min(part.dt for part in problem.parts)
+                one = Hypothesis(record, signal, tuple(starts), scales, fastest, slowest, widest, latest)
                 inside = tuple(
                     {n: min(v, one.bounds(n)[1]) if one.logarithmic(n) else v for n, v in start.items()}
                     for start in starts

@@ -52,6 +52,10 @@ class Located:
     left_out: float = 0.0
     own_misfit: Mapping[str, float] = field(default_factory=dict)
 
+    def is_large(self, limits: Limits) -> bool:
+        """Whether the excess of all channels, or of one, is more than unchanged devices of the own simulator show."""
+        return self.total_excess > limits.excess or max(self.excess.values()) > limits.channel_excess
+
     def within_misfit(self, limits: Limits) -> bool:
         """Whether the recordings are as near to the model as its calibration's held-out parts: nothing is to be explained."""
         return bool(self.own_misfit) and max(self.own_misfit.values()) < limits.own_misfit

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky, cholesky_banded, solve_banded, solve_triangular
+from scipy.linalg.lapack import dpstrf, dtrtri
 
 from vo2_models.device import preset
 from vo2_models.diagnosis.misfit import NO_MISFIT, Misfit, innovations
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of
-from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.identification.digest import CalibrationDigest
 from vo2_models.identification.enrichment import LOCAL, Correction, EnrichmentBasis
+from vo2_models.numerics.parallel import parallel_map
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
 __all__ = ["LoopShape", "loop_shapes", "open_shapes"]
@@ -82,16 +84,40 @@ class LoopShape:
         """The same with its mean moved by weights (m,)."""
         return replace(self, mean=self.mean + weights)
 
-    def spread(self, directions: Floats) -> Floats:
-        """Weights (m, k) that unit-normal directions (m, k) of what the calibration leaves open stand for."""
+    @cached_property
+    def spread(self) -> float:
+        """Sum of the standard deviations of the weights, the roots of the diagonal of L^-T L^-1; in the weights' unit."""
+        inverse, _ = dtrtri(self.factor, lower=1)
+        return float(np.sum(np.linalg.norm(np.tril(inverse), axis=0)))
+
+    def main_directions(self, gram: Floats, *, most: int, negligible: float = 0.5) -> Floats:
+        """Weights (m, k) of the directions of what is left open that recordings tell from zero at all.
+
+        They are L^-T v for the eigenvectors v of A = L^-1 G L^-T. Cholesky's elimination with pivots (LAPACK's dpstrf; Higham,
+        Accuracy and Stability of Numerical Algorithms, 10.3) writes the Gram matrix as G = C C' + E, E positive semidefinite
+        with a diagonal of `tol` at most. Each eigenvalue of A changes by at most tol (sum of the standard deviations)^2, here
+        0.001; those of the small (L^-1 C)' L^-1 C are the same, and few where few samples or directions count.
+
+        Parameters
+        ----------
+        gram : (m, m) of the whitened features, positive semidefinite, in inverse squares of the weights' unit
+        most : number of directions at most, of those with the largest eigenvalues
+        negligible : eigenvalue up to which a direction is left out; a unit-normal weight is known to 1 beforehand
+
+        Returns
+        -------
+        (m, k) weights, largest eigenvalue last; k is 0 where the recordings tell nothing
+        """
+        lower, pivots, rank, _ = dpstrf(gram, tol=1e-3 / self.spread**2, lower=1)
+        half = np.empty((gram.shape[0], rank))
+        half[pivots - 1] = np.tril(lower[:, :rank])
+        half = solve_triangular(self.factor, half, lower=True, overwrite_b=True, check_finite=False)
+        value, vector = np.linalg.eigh(half.T @ half)
+        kept = value > negligible
+        directions = (half @ vector[:, kept] / np.sqrt(value[kept]))[:, -most:]
         return np.asarray(
             solve_triangular(self.factor, directions, lower=True, trans="T", check_finite=False)
         )
-
-    def whitened(self, gram: Floats) -> Floats:
-        """Gram matrix (m, m) of the unit-normal columns, from that of the features: L^-1 G L^-T."""
-        half = solve_triangular(self.factor, gram, lower=True, check_finite=False)
-        return np.asarray(solve_triangular(self.factor, half.T, lower=True, check_finite=False))
 
     def rough_at(self, temperature: Floats) -> Floats:
         """Misfit level (n,) at a temperature: `rough` inside the transition, none outside."""

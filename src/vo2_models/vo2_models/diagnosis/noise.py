@@ -12,13 +12,21 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
+from scipy.ndimage import median_filter
 from scipy.signal import lfilter, lfiltic
 
-__all__ = ["LONGEST", "NoiseModel", "fit_noise", "level_from_differences", "samples_apart"]
+__all__ = ["LONGEST", "NoiseModel", "fit_noise", "level_from_differences", "outliers", "samples_apart"]
 
 Floats = NDArray[np.float64]
 LONGEST = 4
 """Highest autoregressive order considered [samples]."""
+ALONE = 8.0
+"""Robust deviations, of the distance from the line between both neighbours, from which a sample stands alone: the ten about one
+are too few to tell less from noise that grows with the signal."""
+ABOUT = 11
+"""Samples, itself among them, from which is seen what is usual about one."""
+RARE = 0.02
+"""Largest share of samples that are outliers; more of them are no accidents."""
 LAGS = 300
 """Samples after which noise is taken as forgotten."""
 
@@ -140,6 +148,33 @@ def level_from_differences(x: Floats) -> float:
     if second.size == 0:
         return 0.0
     return float(np.median(np.abs(second)) / (0.674490 * np.sqrt(6.0)))
+
+
+def outliers(residual: Floats, step: float = 0.0, motion: Floats | None = None) -> NDArray[np.bool_]:
+    """Return which samples (n,) stand alone: far from the line between their neighbours, which agree with each other.
+
+    Far is `ALONE` robust deviations of what all, or the ten about it, are off that line. What a device does is not over after
+    a sample: an edge, or the answer to a step, is seen by the neighbours. Where more than `RARE` of the samples stand alone,
+    they are what the signal is like, and none is an outlier.
+
+    Parameters
+    ----------
+    residual : (n,) what a model leaves over, so that nothing steep is in it; NaN where missing
+    step : of its converter, which makes samples that stand alone by that much [unit of residual]
+    motion : (n,) how far the signal goes within a few samples: one that is read late is off by as much for one of them
+    """
+    alone = np.zeros(residual.size, dtype=bool)
+    known = np.flatnonzero(np.isfinite(residual))
+    if known.size < ABOUT:
+        return alone
+    x = residual[known]
+    off = np.abs(x[1:-1] - 0.5 * (x[:-2] + x[2:]))
+    usual = np.maximum(np.median(off), median_filter(off, ABOUT, mode="nearest")) / 0.674490
+    far = off > np.maximum(ALONE * usual, 3.0 * step)
+    if motion is not None:
+        far &= off > 2.0 * motion[known[1:-1]]
+    alone[known[1:-1]] = far & (np.abs(x[2:] - x[:-2]) < 0.5 * off)
+    return alone if np.mean(alone) <= RARE else np.zeros_like(alone)
 
 
 def fit_noise(

@@ -19,6 +19,7 @@ from vo2_models.effects import effects
 from vo2_models.effects.record import SAMPLED
 from vo2_models.identification.digest import CalibrationDigest
 from vo2_models.identification.enrichment import Correction, EnrichmentBasis
+from vo2_models.identification.grid import held
 from vo2_models.model_file import load_model_parameters
 from vo2_models.parameters import Value
 from vo2_models.recording import (
@@ -91,26 +92,13 @@ def drive_of(recording: Recording) -> tuple[Floats, bool]:
     """
     logged = recording[HEATER_CURRENT]
     if COMMANDED_CURRENT not in recording:
-        return _held(logged), False
+        return held(logged), False
     command = recording[COMMANDED_CURRENT]
     command = np.where(np.isfinite(command), command, logged)
     both = np.isfinite(logged)
     scale = max(float(np.ptp(command[both])), 1e-12) if np.any(both) else 1.0
     own = bool(np.any(np.abs(logged[both] - command[both]) > 1e-6 * scale))
-    return _held(command), own
-
-
-def _held(current: Floats) -> Floats:
-    """Hold the last value over missing samples, as a driver does."""
-    good = np.isfinite(current)
-    if good.all():
-        return np.ascontiguousarray(current)
-    if not good.any():
-        raise ValueError("heater_current: found no finite sample, need the current that drives the device")
-    last = np.maximum.accumulate(np.where(good, np.arange(current.size), 0))
-    filled = current[last]
-    filled[: np.argmax(good)] = current[np.argmax(good)]
-    return filled
+    return held(command), own
 
 
 @dataclass(frozen=True)

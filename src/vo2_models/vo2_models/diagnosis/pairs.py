@@ -18,8 +18,8 @@ from vo2_models.diagnosis.explain import BRIEF, Explanation, Score, either_way, 
 from vo2_models.diagnosis.hypotheses import Hypothesis, windowed
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nominal import Nominal
-from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
+from vo2_models.numerics.parallel import parallel_map
 
 __all__ = ["Option", "option_of", "pair_of", "refit_about", "trace"]
 

@@ -9,20 +9,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device import preset
-from vo2_models.diagnosis.check import JITTERED, SHORTEST, jitter_of
+from vo2_models.diagnosis.check import SHORTEST
 from vo2_models.diagnosis.current_reading import as_commanded
 from vo2_models.diagnosis.nominal import Nominal, drive_of, judged
 from vo2_models.effects import effects
 from vo2_models.effects.adc_quantization import value_step
-from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
+from vo2_models.identification.read_in_time import read_in_time
+from vo2_models.recording import (
+    COMMANDED_CURRENT,
+    HEATER_CURRENT,
+    JITTERED,
+    RESISTANCE,
+    STAGE_TEMPERATURE,
+    TIP_DEFLECTION,
+    Recording,
+    clock_of,
+    in_order,
+    jitter_of,
+)
 
-__all__ = ["Part", "prepare", "regular"]
+__all__ = ["Part", "prepare"]
 
 Floats = NDArray[np.float64]
 BLIND = 3
 """Missing samples in a row after which the memory of the loops may be another."""
 FLAT = 0.01
 """From this share of the way from another sample to a flat one on a moment counts as flat."""
+WHOLE = 4.0
+"""Ratio of squared distances from the command of samples that come early and late, from which one of them reads another one."""
 AWAY = 0.5
 """Share of its range by which the drive of a device without body must be able to move in a gap for that: where it goes
 from one end of the gap to the other without a turn, the loops are as if they had seen it."""
@@ -76,38 +90,6 @@ class Part:
         return int(self.time_s.size)
 
 
-def regular(recording: Recording) -> Recording:
-    """Return the recording on the grid of its sample period, NaN where a sample is missing; interpolated where stamps jitter."""
-    dt = recording.sample_period_s
-    if jitter_of(recording) > JITTERED:
-        return _interpolated(recording, dt)
-    place = np.rint((recording.time_s - recording.time_s[0]) / dt).astype(np.intp)
-    if place[-1] == place.size - 1:
-        return recording
-    kept, first = np.unique(place, return_index=True)
-    size = int(kept[-1]) + 1
-    channels = {}
-    for name, values in recording.channels.items():
-        channels[name] = np.full(size, np.nan)
-        channels[name][kept] = values[first]
-    return Recording(recording.time_s[0] + np.arange(size) * dt, channels, recording.device)
-
-
-def _interpolated(recording: Recording, dt: float) -> Recording:
-    """The recording in straight lines between its samples, at regular times; NaN between those two periods apart."""
-    stamps = recording.time_s
-    time = np.arange(stamps[0], stamps[-1] + 0.5 * dt, dt)
-    after = np.searchsorted(stamps, time).clip(1, stamps.size - 1)
-    lonely = stamps[after] - stamps[after - 1] > 2.0 * dt
-    channels = {}
-    for name, values in recording.channels.items():
-        good = np.isfinite(values)
-        missing = lonely | (np.interp(time, stamps, good.astype(float)) < 1.0 - 1e-9)
-        filled = np.interp(time, stamps[good], values[good]) if good.any() else np.full(time.size, np.nan)
-        channels[name] = np.where(missing, np.nan, filled)
-    return Recording(time, channels, recording.device)
-
-
 def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") -> Part:
     """Return a recording ready for comparison with the nominal simulation.
 
@@ -125,9 +107,12 @@ def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") 
         raise ValueError(
             f"{name}: found channels {', '.join(recording.channels) or 'none'}, need heater_current"
         )
-    raw, recording = recording, regular(recording)
+    raw, recording = recording, read_in_time(recording, nominal.model)
     current, own = drive_of(recording)
-    blind = _longest_blind(recording[HEATER_CURRENT], nominal, recording.sample_period_s)
+    drive = recording[HEATER_CURRENT]
+    if COMMANDED_CURRENT in recording:
+        drive = np.where(np.isfinite(drive), drive, recording[COMMANDED_CURRENT])
+    blind = _longest_blind(drive, nominal, recording.sample_period_s)
     laws = {RESISTANCE: nominal.model.resistance.present, TIP_DEFLECTION: nominal.model.deflection.present}
     wanted = [c for c in (RESISTANCE, TIP_DEFLECTION) if laws[c] and c in recording]
     if not wanted:
@@ -136,8 +121,7 @@ def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") 
         )
     if STAGE_TEMPERATURE in recording and preset(nominal.device).measures_temperature:
         wanted.append(STAGE_TEMPERATURE)
-    # a current that steps is no reading between its stamps
-    if own and HEATER_CURRENT in nominal.noise and jitter_of(raw) <= JITTERED:
+    if own and HEATER_CURRENT in nominal.noise and _reads_whole_periods(raw):
         wanted.insert(0, HEATER_CURRENT)
     observed, valid = {}, {}
     for channel in wanted:
@@ -167,6 +151,18 @@ def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") 
     )  # fmt: skip
 
 
+def _reads_whole_periods(recording: Recording) -> bool:
+    """Whether the logged current is that of the period, and not of an instant that is before or behind the next command."""
+    if clock_of(recording) is None:
+        return jitter_of(recording.time_s) <= JITTERED
+    placed, late = in_order(recording.with_unread())
+    off = (placed[HEATER_CURRENT] - placed[COMMANDED_CURRENT]) ** 2
+    early, after = (off[np.isfinite(off) & side] for side in (late < 0.0, late > 0.0))
+    if min(early.size, after.size) < SHORTEST // 2:
+        return False
+    return bool(max(early.mean(), after.mean()) < WHOLE * min(early.mean(), after.mean()))
+
+
 def _evident(
     raw: Recording, time_s: Floats, channels: Sequence[str]
 ) -> tuple[dict[tuple[str, str], Mapping[str, float]], dict[str, dict[str, NDArray[np.bool_]]]]:
@@ -189,9 +185,9 @@ def _evident(
     return found, flat
 
 
-def _longest_blind(logged: Floats, nominal: Nominal, dt: float) -> tuple[tuple[int, int], ...]:
+def _longest_blind(drive: Floats, nominal: Nominal, dt: float) -> tuple[tuple[int, int], ...]:
     """First and last sample, beyond which nothing is missing, of gaps in which the film could go anywhere and back."""
-    missing = np.concatenate([[False], ~np.isfinite(logged), [False]])
+    missing = np.concatenate([[False], ~np.isfinite(drive), [False]])
     begin, end = (
         np.flatnonzero(np.diff(missing.astype(int)) == 1),
         np.flatnonzero(np.diff(missing.astype(int)) == -1),
@@ -199,7 +195,7 @@ def _longest_blind(logged: Floats, nominal: Nominal, dt: float) -> tuple[tuple[i
     long = max(BLIND, 0.5 * nominal.model.scalars["thermal.time_constant"] / dt)
     gaps = [(int(b), int(e)) for b, e in zip(begin, end, strict=True) if e - b > long]
     if not preset(nominal.device).has_body:
-        gaps = [(b, e) for b, e in gaps if _wanders(logged, e - b)]
+        gaps = [(b, e) for b, e in gaps if _wanders(drive, e - b)]
     return tuple(gaps)
 
 

@@ -20,16 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from vo2_models.device.state import CURRENT_LINE
 from vo2_models.diagnosis.current_reading import between_samples
 from vo2_models.diagnosis.loop_shape import LoopShape, loop_shapes
 from vo2_models.diagnosis.misfit import NO_MISFIT, Whitening
 from vo2_models.diagnosis.noise import NoiseModel, samples_apart
-from vo2_models.diagnosis.nominal import Nominal, Response
+from vo2_models.diagnosis.nominal import FINE, Nominal, Response
 from vo2_models.diagnosis.nuisance import Constant, constants_of, law_columns
-from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.part import Part
 from vo2_models.diagnosis.propagate_correction import as_sensed
 from vo2_models.diagnosis.tangent import Tangent
+from vo2_models.numerics.parallel import parallel_map
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE
 
 __all__ = ["LinearisedProblem", "LoopColumns", "Row", "linearise_problem"]
@@ -38,6 +39,9 @@ Floats = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float | str]]
 QUICKEST = 0.2
 """Least time constant that the nuisance model may ask for, as a share of the calibration's, which may hardly tell it."""
+LATEST = CURRENT_LINE // (2 * FINE) - 1
+"""Most dead time that constants, and that effects beside them, may ask for, in sample periods: the current's line holds both,
+of a simulation between the samples, too."""
 STEP = 0.2
 """Step of a constant by which its column is taken, as a share of what the simulation is linear over."""
 MOST, MOST_REFITTED = 260, 420
@@ -135,7 +139,7 @@ class LinearisedProblem:
 
     def moved(self, shift: Floats) -> dict[str, float]:
         """Constants moved from the model's by `shift` (t,), in units of their columns."""
-        return _moved(self.constants, shift)
+        return _moved(self.constants, shift, self.parts)
 
     def curved(self, move: Floats) -> float:
         """Largest part of a move (t,) of the constants, in units of what the simulation is linear over."""
@@ -311,7 +315,7 @@ def linearise_problem(
             for c, s in shapes.items()
         },
     )
-    values = _moved(constants, origin)
+    values = _moved(constants, origin, parts)
     say("simulating the recordings")
     responses = [
         corrected.respond(p.current, p.dt, effects=effects, constants=values, settled=p.settled)
@@ -410,15 +414,17 @@ def _loop_coupling(problem: LinearisedProblem) -> Floats:
     return out
 
 
-def _moved(constants: Sequence[Constant], shift: Floats) -> dict[str, float]:
-    """Values of the constants, each moved by all of its columns."""
+def _moved(constants: Sequence[Constant], shift: Floats, parts: Sequence[Part]) -> dict[str, float]:
+    """Values of the constants, each moved by all of its columns, as far as a device may be and the simulation can go."""
     before = {c.name: c.value for c in constants}
     moved = dict(before)
     for constant, z in zip(constants, shift, strict=True):
         moved[constant.name] += constant.spread * float(z)
-    for name in ("driver.dead_time", "thermal.time_constant"):
-        if name in moved:
-            moved[name] = max(moved[name], 0.0 if name == "driver.dead_time" else QUICKEST * before[name])
+    if (lag := "thermal.time_constant") in moved:
+        moved[lag] = max(moved[lag], QUICKEST * before[lag])
+    if (delay := "driver.dead_time") in moved:
+        latest = max(before[delay], LATEST * min(part.dt for part in parts))
+        moved[delay] = min(max(moved[delay], 0.0), latest)
     return moved
 
 
@@ -485,7 +491,7 @@ def _loop_columns(
             directions = before.directions
         else:
             gram = sum(_sampled_gram(w(f)) for f, w in zip(features, whiten, strict=True))
-            directions = shape.spread(_main_directions(shape.whitened(np.asarray(gram)), most=most))
+            directions = shape.main_directions(np.asarray(gram), most=most)
         raw = tuple(f @ directions for f in features)
         if refits:
             raw = tuple(
@@ -533,9 +539,3 @@ def _sampled_gram(block: Floats, sample: int = 6000) -> Floats:
     stride = max(1, block.shape[0] // sample)
     some = block[::stride]
     return np.asarray(some.T @ some * float(stride))
-
-
-def _main_directions(gram: Floats, *, most: int, negligible: float = 0.5) -> Floats:
-    """Directions (m, k) of unit-normal weights that the data can tell from zero at all."""
-    value, vector = np.linalg.eigh(gram)
-    return np.asarray(vector[:, value > negligible][:, -most:])

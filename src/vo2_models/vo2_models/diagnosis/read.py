@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.optimize import minimize_scalar
 
 from vo2_models.diagnosis.breakdown import one_loop
@@ -15,6 +16,7 @@ from vo2_models.diagnosis.consistency import check_consistency
 from vo2_models.diagnosis.evident import Evident, evident_effects
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.loop_shape import LoopShape, loop_shapes, open_shapes
+from vo2_models.diagnosis.noise import outliers
 from vo2_models.diagnosis.nominal import Nominal, Response, loop_ends
 from vo2_models.diagnosis.nuisance import (
     Constant,
@@ -26,7 +28,7 @@ from vo2_models.diagnosis.nuisance import (
 )
 from vo2_models.diagnosis.part import Part, prepare
 from vo2_models.diagnosis.progress import Clock
-from vo2_models.recording import Recording, aligned
+from vo2_models.recording import HEATER_CURRENT, Recording, aligned
 
 __all__ = ["Reading", "read"]
 
@@ -118,6 +120,8 @@ def read(
     parts, stamps = _restamped(parts, corrected, limits)
     findings += stamps
     started = [_detect_initial_state(part, corrected) for part in parts]
+    started, alone = _without_outliers(started)
+    findings += alone
     check_consistency(started, nominal, calibrations)
     evident = evident_effects(started, corrected, limits, first_use=calibrations > 0)
     parts, findings = _mask_after_gaps(started, nominal, findings)
@@ -220,6 +224,36 @@ def _detect_initial_state(part: Part, nominal: Nominal) -> tuple[Part, Response]
     if misses[1] < 0.2 * misses[0] - 100:
         return replace(part, settled=True), warm
     return part, cold
+
+
+def _without_outliers(
+    started: Sequence[tuple[Part, Response]],
+) -> tuple[list[tuple[Part, Response]], list[Finding]]:
+    """Leave out single samples that are far from both of their neighbours, beside what the simulation says of all three.
+
+    A current that is read back is none of these channels: late by a sample it stands alone at every step of the command.
+    """
+    found, told = [], []
+    for part, response in started:
+        valid = dict(part.valid)
+        for channel in (c for c in part.channels if c != HEATER_CURRENT):
+            gap = np.where(valid[channel], part.observed[channel] - response.channels[channel], np.nan)
+            step = float(np.sqrt(12.0) * np.max(part.comb_level(channel)))
+            course = response.channels[channel]
+            motion = maximum_filter1d(course, 7) - minimum_filter1d(course, 7)
+            alone = outliers(gap, step, motion)
+            if np.any(alone):
+                valid[channel] = valid[channel] & ~alone
+                count = np.count_nonzero(alone)
+                told.append(
+                    Finding(
+                        "outliers",
+                        f"{part.name}: {count} sample{'s' if count > 1 else ''} of {channel} stand{'' if count > 1 else 's'} "
+                        f"alone, the first at {part.time_s[np.argmax(alone)]:.6g} s: outliers, which are not judged",
+                    )
+                )
+        found.append((replace(part, valid=valid), response))
+    return found, told
 
 
 def _mask_after_gaps(

@@ -308,7 +308,8 @@ def _weights(study: Study, everyone: Sequence[Explanation], chi: Sequence[float]
         for rival, more in zip(everyone[1:], dearer[1:] - dearer[0], strict=True)
         for other in [_change(problem, rival)]
     ]
-    weights = np.maximum(weights / weights[0], [1.0, *odds])
+    # what seems better here was refitted about itself too, and was not: it is as likely at most
+    weights = np.maximum(np.minimum(weights / weights[0], 1.0), [1.0, *odds])
     return np.asarray(weights / np.sum(weights))
 
 
@@ -603,6 +604,15 @@ def _why_enough(study: Study) -> str:
             "and no effect of the catalogue nor any function of time, temperature, rate, current or memory predicts it on blocks "
             "that it was not fitted on: it is the fitted loops' own misfit"
         )
+    located, limits = study.located, study.limits
+    if located.is_large(limits) and located.within_misfit(limits):
+        most = max(located.own_misfit.values())
+        return (
+            f"{most:.2g} times the error of the fit on held-out parts of its calibration, as repeats may be"
+        )
+    if located.is_large(limits):
+        share = 100 * located.left_out
+        return f"no more than the fitted loops miss of a stretch of their calibration that was left out, {share:.0f} %"
     return "no more than an unchanged device shows"
 
 
@@ -617,7 +627,10 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
         )
     moved = _moved_in_words(_moved(study))
     if decision.verdict == "drifted":
-        return f"The same physics, constants have moved{_of_what(study)}: {moved}. With them simulation and recording agree."
+        return (
+            f"The same physics, constants have moved{_of_what(study)}: {moved}. With them simulation and recording agree: the "
+            f"residual exceeds the noise by {power:.0f} % of its power, {_why_enough(study)}."
+        )
     where = max(excess, key=lambda c: excess[c])
     told = study.located.problem.nominal.model.description.names.get(where, where)
     head = f"Simulation and recording differ, most in {told} ({1 + excess[where]:.3g} times the noise power)."

@@ -16,9 +16,9 @@ from vo2_models.diagnosis.hypotheses import Hypothesis, hypotheses
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import Located
 from vo2_models.diagnosis.pairs import Option, option_of, pair_of, refit_about
-from vo2_models.diagnosis.parallel import parallel_map
 from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
 from vo2_models.diagnosis.progress import Clock
+from vo2_models.numerics.parallel import parallel_map
 
 __all__ = ["Search", "cost", "search"]
 

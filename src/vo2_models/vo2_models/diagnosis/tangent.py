@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.diagnosis.parallel import parallel_map
+from vo2_models.numerics.parallel import parallel_map
 
 __all__ = ["Tangent"]
 

@@ -198,11 +198,13 @@ def evaluate(shape: BankShape, temperature: Floats) -> tuple[Floats, Floats]:
     shape : in fitting coordinates
     """
     slope, width, weight = (np.exp(v) for v in (shape.log_slope, shape.log_width, shape.log_weight))
-    values, by_slope, by_centre, by_width = play_sensitivities(temperature, slope, shape.centre, width)
+    plays = slope.size
+    jacobian = np.empty((temperature.size, 4 * plays + shape.polynomial.size))
+    play_sensitivities(temperature, slope, shape.centre, width, weight, jacobian)
     x = (temperature - POLYNOMIAL_CENTRE) / POLYNOMIAL_SCALE
-    powers = np.vander(x, shape.polynomial.size, increasing=True)
-    jacobian = np.hstack([weight * by_slope, weight * by_centre, weight * by_width, weight * values, powers])
-    return values @ weight + powers @ shape.polynomial, jacobian
+    jacobian[:, 4 * plays :] = np.vander(x, shape.polynomial.size, increasing=True)
+    # a weighted play is its own derivative by the logarithm of its weight
+    return jacobian[:, 3 * plays :] @ np.concatenate([np.ones(plays), shape.polynomial]), jacobian
 
 
 def fit_bank(

@@ -174,8 +174,8 @@ def _missing(recording: Recording, empty: Sequence[str], device: DeviceDescripti
     if gaps.any():
         share = float(steps[gaps].sum() / (recording.time_s[-1] - recording.time_s[0]))
         found.append(
-            f"{np.count_nonzero(gaps)} gaps are {100 * share:.1f} % of the time: the drive is taken as held over "
-            "them, and what the loops went through meanwhile is lost"
+            f"{np.count_nonzero(gaps)} gaps are {100 * share:.1f} % of the time: where no command is known, the drive is "
+            "taken as held over them, and what the loops went through meanwhile is lost"
         )
     return found
 

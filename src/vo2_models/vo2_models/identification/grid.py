@@ -14,9 +14,12 @@ from vo2_models.recording import (
     STAGE_TEMPERATURE,
     TIP_DEFLECTION,
     Recording,
+    clock_of,
+    in_order,
+    regular,
 )
 
-__all__ = ["GriddedRecording", "on_grid"]
+__all__ = ["GriddedRecording", "held", "on_grid"]
 
 Floats = NDArray[np.float64]
 LONGEST_GAP = 1_000_000
@@ -34,7 +37,6 @@ class GriddedRecording:
     current : (n,) what drives the simulation [A]: the commanded current, or the logged one where there are no commands
     commanded : whether `current` is the commanded one, so that the driver's own effects can be seen
     measured : channel -> (n,) values, NaN where missing; `film_resistance` as y = -log10(R / ohm)
-    gaps : number of samples that were missing and had to be held
     """
 
     dt: float
@@ -42,7 +44,6 @@ class GriddedRecording:
     current: Floats = field(repr=False)
     commanded: bool
     measured: dict[str, Floats] = field(repr=False)
-    gaps: int
 
 
 def on_grid(recording: Recording) -> GriddedRecording:
@@ -65,21 +66,19 @@ def on_grid(recording: Recording) -> GriddedRecording:
     if HEATER_CURRENT not in recording and COMMANDED_CURRENT not in recording:
         raise ValueError(f"recording: found channels {', '.join(recording.channels)}, need {HEATER_CURRENT}")
     dt = recording.sample_period_s
-    place = np.rint((recording.time_s - recording.time_s[0]) / dt).astype(np.int64)
-    place = np.maximum.accumulate(place)
-    count = int(place[-1]) + 1
+    count = int((recording.time_s[-1] - recording.time_s[0]) / dt) + 1
     if count > max(LONGEST_GAP, 4 * len(recording)):
         raise ValueError(
             f"recording: found {count} sample periods of {dt:g} s for {len(recording)} samples, need fewer gaps; "
             "give the parts as recordings of their own"
         )
+    known = recording.with_unread()
+    recording = regular(known) if clock_of(known) else in_order(known)[0]
     commanded = COMMANDED_CURRENT in recording and bool(np.any(np.isfinite(recording[COMMANDED_CURRENT])))
     drive = recording[COMMANDED_CURRENT if commanded else HEATER_CURRENT]
     if commanded and HEATER_CURRENT in recording:
         # before the first command (NaN) only the log says what flowed
         drive = np.where(np.isfinite(drive), drive, recording[HEATER_CURRENT])
-    current = np.full(count, np.nan)
-    current[place] = drive
     measured = {}
     for name in (RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE):
         if name in recording and np.any(np.isfinite(recording[name])):
@@ -87,22 +86,25 @@ def on_grid(recording: Recording) -> GriddedRecording:
             if name == RESISTANCE:
                 positive = np.where(values > 0.0, values, np.nan)
                 values = -np.log10(positive)
-            measured[name] = np.full(count, np.nan)
-            measured[name][place] = values
+            measured[name] = values
     return GriddedRecording(
-        dt=dt,
+        dt=recording.sample_period_s,
         start=float(recording.time_s[0]),
-        current=_held(current),
+        current=held(drive),
         commanded=commanded,
         measured=measured,
-        gaps=count - np.unique(place).size,
     )
 
 
-def _held(values: Floats) -> Floats:
-    """Fill missing values with the last one before (the next one at the start)."""
+def held(values: Floats) -> Floats:
+    """Return values (n,) with missing ones filled by the last one before, at the start by the next one.
+
+    Raises
+    ------
+    ValueError : no value is there.
+    """
     known = np.flatnonzero(np.isfinite(values))
     if known.size == 0:
-        raise ValueError("recording: the current has no finite value")
+        raise ValueError("heater_current: found no finite sample, need the current that drives the device")
     last = np.searchsorted(known, np.arange(values.size), side="right") - 1
     return values[known[np.maximum(last, 0)]]

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from vo2_models.device.description import DeviceDescription, preset
 from vo2_models.device.model import DeviceModel
 from vo2_models.diagnosis.current_reading import current_reading
-from vo2_models.diagnosis.noise import fit_noise
+from vo2_models.diagnosis.noise import fit_noise, outliers
 from vo2_models.diagnosis.nominal import basis_of, span_of
 from vo2_models.effects.adc_quantization import value_step
 from vo2_models.identification.calibration_check import check_calibration, judge_fit
@@ -23,14 +24,25 @@ from vo2_models.identification.enrichment import LOCAL, EnrichmentBasis
 from vo2_models.identification.grid import on_grid
 from vo2_models.identification.loop_law import PLAYS as PLAYS_LAW
 from vo2_models.identification.loop_law import with_law
+from vo2_models.identification.read_in_time import read_in_time
 from vo2_models.identification.rig_fit import fit_rig
 from vo2_models.parameters import Value
-from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording, aligned
+from vo2_models.recording import (
+    RESISTANCE,
+    STAGE_TEMPERATURE,
+    TIP_DEFLECTION,
+    Recording,
+    aligned,
+    clock_of,
+    in_order,
+)
 from vo2_models.self_sensing.characterisation import characterise
 
 __all__ = ["fit_model"]
 
 Floats = NDArray[np.float64]
+UNSTEADY = 0.02
+"""Root mean square distance of samples from their instants, in periods, from which a slope is not good enough for the move."""
 LATE, SURE = 0.1, 4.0
 """Dead time that is told of a device without one, in sample periods, and in its own standard deviations."""
 
@@ -66,33 +78,74 @@ def fit_model(
     ------
     ValueError : recordings that cannot be fitted; the message says why.
     """
-    delay = command_delay(recordings)
-    recordings, notes = check_calibration([aligned(r, delay) for r in recordings], device, names=names)
-    description = completed(preset(device), recordings)
-    if description.has_body:
-        result = fit_device(recordings, description.key, plays=plays, progress=progress)
-    else:
-        result = fit_rig(recordings, description, law=law, progress=progress)
-    if delay:
-        notes.append(
-            f"commands act {delay:.4g} s after where they stand in the recording, which the model allows for"
-        )
-        result = replace(result, model=replace(result.model, command_delay=delay))
-    notes += _lateness(result, description, recordings[0].sample_period_s)
-    of_plays = result.model.to_parameters()
-    if description.has_body and law not in ("", PLAYS_LAW):
-        result = with_law(result, law)
-    result = replace(result, notes=(*notes, *result.notes, *judge_fit(result, recordings)))
-    parameters = result.model.to_parameters()
-    both = [r for r in recordings if RESISTANCE in r and TIP_DEFLECTION in r]
-    if both and description.has_body:
-        if self_sensing:
-            if progress:
-                progress("self-sensing", 0.95)
-            # the schemes have laws of their own, which start from plays
-            parameters |= characterise(max(both, key=len), of_plays)
-        parameters |= _digest(result, recordings[0], both[0] is recordings[0])
-    return result, parameters
+    # the matrices are small: threads inside BLAS would only wait for each other where the processors are busy
+    with threadpool_limits(1, user_api="blas"):
+        delay = command_delay(recordings)
+        recordings, notes = check_calibration([aligned(r, delay) for r in recordings], device, names=names)
+        description = completed(preset(device), recordings)
+        if description.has_body:
+            result = fit_device(recordings, description.key, plays=plays, progress=progress)
+            known, told = _better_known(recordings, result)
+            if told:
+                recordings, notes = known, notes + told
+                result = fit_device(recordings, description.key, plays=plays, progress=progress)
+        else:
+            result = fit_rig(recordings, description, law=law, progress=progress)
+        if delay:
+            notes.append(
+                f"commands act {delay:.4g} s after where they stand in the recording, which the model allows for"
+            )
+            result = replace(result, model=replace(result.model, command_delay=delay))
+        notes += _lateness(result, description, recordings[0].sample_period_s)
+        of_plays = result.model.to_parameters()
+        if description.has_body and law not in ("", PLAYS_LAW):
+            result = with_law(result, law)
+        result = replace(result, notes=(*notes, *result.notes, *judge_fit(result, recordings)))
+        parameters = result.model.to_parameters()
+        both = [r for r in recordings if RESISTANCE in r and TIP_DEFLECTION in r]
+        if both and description.has_body:
+            if self_sensing:
+                if progress:
+                    progress("self-sensing", 0.95)
+                # the schemes have laws of their own, which start from plays
+                parameters |= characterise(max(both, key=len), of_plays)
+            parameters |= _digest(result, recordings[0], both[0] is recordings[0])
+        return result, parameters
+
+
+def _better_known(recordings: Sequence[Recording], result: FitResult) -> tuple[list[Recording], list[str]]:
+    """What a first fit shows of the recordings' samples: where they would be at their instants, and which stand alone.
+
+    Returns
+    -------
+    recordings to be fitted again, and what was found, nothing where the first fit stands
+    """
+    told, found = [], []
+    for recording, end in zip(recordings, result.ends, strict=True):
+        even, late = in_order(recording.with_unread())
+        if clock_of(recording):
+            even = read_in_time(recording, result.model)
+        if float(np.std(late)) > UNSTEADY:
+            told.append(
+                "samples come early or late of a regular clock: they are moved to its instants by the fitted model"
+            )
+        channels = dict(even.channels)
+        for channel, residual in result.residuals.items():
+            values = channels.get(channel, np.zeros(0))
+            values = values[np.isfinite(values)]
+            if not values.size:
+                continue
+            step = value_step(recording[channel][np.isfinite(recording[channel])])
+            if channel == RESISTANCE:  # the residual is of its logarithm
+                step /= np.log(10.0) * float(np.quantile(values, 0.1))
+            alone = outliers(residual[end - len(even) : end], step)
+            if np.any(alone):
+                told.append(
+                    f"outliers in {channel}: samples that stand alone, {np.count_nonzero(alone)} of them, are left out"
+                )
+                channels[channel] = np.where(alone, np.nan, channels[channel])
+        found.append(replace(even, channels=channels))
+    return found, list(dict.fromkeys(told))
 
 
 def _lateness(result: FitResult, description: DeviceDescription, period: float) -> list[str]:

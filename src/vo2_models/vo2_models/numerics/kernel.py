@@ -23,6 +23,8 @@ import numba
 import numpy
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
+from vo2_models.numerics.interrupts import raise_again
+
 __all__ = ["cache_folder", "kernel", "source_digest"]
 
 UNUSED_S = 90 * 86400.0
@@ -41,6 +43,8 @@ def cache_folder() -> Path:
         return Path(given)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vo2-kernels"
 
+
+raise_again()  # compiling takes seconds to minutes, most of all that somebody may want to end
 
 _IMPORT = re.compile(
     rb"^[ \t]*(?:from +(vo2_[\w.]+) +import +(\([^)]*\)|[^\n]*)|import +(vo2_[\w.]+))", re.MULTILINE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -11,16 +11,18 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
+from vo2_identification.record import HEARS
 from vo2_interface.executable import fastest_executor, leave_graph
 from vo2_interface.parameters import ros_parameters
 from vo2_interface.samples import SampleReader
 from vo2_interface.topics import DIAGNOSTICS, READ_QOS
 from vo2_models.parameters import Value
 
-from vo2_studies.demo.graph import Graph, GraphError
+from vo2_studies.demo.graph import Graph, GraphError, NodeProcess
 
 __all__ = ["Conductor"]
 
@@ -58,11 +60,20 @@ class Conductor:
         self._clients: dict[tuple[str, type], Any] = {}
         self._met_s: dict[str, float] = {}
         self._checked = 0.0
-        self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, READ_QOS)
+        self._health = self._listen_to_health()
 
     def close(self) -> None:
         """Leave the graph."""
         leave_graph(self._executor, [self.node], self._context)
+
+    def forget(self) -> None:
+        """Forget what nodes have said, also what still waits to be read: call it between two runs, once nodes have ended.
+
+        What a node of the first run said last must not count for the node of the same name in the second.
+        """
+        self.node.destroy_subscription(self._health)
+        self.statuses.clear()
+        self._health = self._listen_to_health()
 
     def wait_for(self, what: str, condition: Callable[[], bool], timeout_s: float) -> None:
         """Spin until `condition`; raise a `GraphError` naming `what` after `timeout_s`."""
@@ -111,6 +122,26 @@ class Conductor:
             raise GraphError(f"{error}; {'; '.join(missing())}") from error
         # the listener may learn of the publisher a moment later than the other way round
         self.pause(_SETTLE_S)
+
+    def wait_for_recorder(
+        self, recorder: NodeProcess, topics: Sequence[str], timeout_s: float = 60.0
+    ) -> None:
+        """Wait until a `record` process has met the publishers of topics: of what comes before it loses some.
+
+        Raises
+        ------
+        GraphError : not within `timeout_s`; names the topics.
+        """
+
+        def missing() -> set[str]:
+            lines = recorder.log.read_text(errors="replace").splitlines()
+            met = [line.removeprefix(HEARS) for line in lines if line.startswith(HEARS)]
+            return set(topics) - {topic.strip() for line in met for topic in line.split(",")}
+
+        try:
+            self.wait_for(f"{recorder.name} to meet publishers", lambda: not missing(), timeout_s)
+        except GraphError as error:
+            raise GraphError(f"{error}; it hears nobody on {', '.join(sorted(missing()))}") from error
 
     def wait_for_sample(self, topic: str, stamp_s: float, timeout_s: float = 60.0) -> None:
         """Wait until a sample of this stamp or a later one comes on a topic."""
@@ -172,6 +203,9 @@ class Conductor:
 
         self.wait_for(f"an answer of {name}", answered, timeout_s)
         return next(future.result() for _, future in asked if future.done())
+
+    def _listen_to_health(self) -> Subscription:
+        return self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, READ_QOS)
 
     def _client(self, name: str, kind: type) -> Any:
         if (name, kind) not in self._clients:

@@ -16,13 +16,8 @@ INTERRUPTED = 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Console script; see `vo2_studies.reproduce.command`."""
     main_thread = threading.current_thread() is threading.main_thread()
-    from vo2_studies.reproduce.interrupt import forget, interrupted
-
-    forget()
-
     # SIGTERM ends it like Ctrl-C: no process of a pool and no node of a scenario is left behind
-    both = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, interrupted) for number in both] if main_thread else []
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler) if main_thread else None
     try:
         # the libraries behind the sections take seconds to load, in which Ctrl-C works as later
         from vo2_studies.reproduce.command import run
@@ -32,5 +27,5 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\nreproduce: interrupted", file=sys.stderr)
         return INTERRUPTED
     finally:
-        for number, handler in zip(both, before, strict=False):
-            signal.signal(number, handler)
+        if main_thread:
+            signal.signal(signal.SIGTERM, before)

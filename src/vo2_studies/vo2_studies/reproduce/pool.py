@@ -17,8 +17,6 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from vo2_studies.reproduce.interrupt import raise_if_interrupted
-
 __all__ = ["Finished", "hear_the_end", "interrupt_is_ours", "run_many"]
 
 Job = TypeVar("Job")
@@ -79,7 +77,6 @@ def run_many(
     found: list[Found] = finished.read() if finished else []
 
     def add(more: Sequence[Found]) -> None:
-        raise_if_interrupted()
         found.extend(more)
         if finished:
             finished.add(more)

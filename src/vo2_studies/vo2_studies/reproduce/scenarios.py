@@ -93,7 +93,9 @@ def run_loops(
         conductor = Conductor(graph)
         try:
             topics = [f"{loop.namespace}/{name}" for loop in loops for name in _SAMPLES]
-            graph.start("record", arguments=["--output", str(folder / "bag"), "--topics", *topics, "/clock"])
+            recorder = graph.start(
+                "record", arguments=["--output", str(folder / "bag"), "--topics", *topics, "/clock"]
+            )
             for loop in loops:
                 _start(graph, loop, device, seed, count, folder, plant or {}, clock=loop is loops[0])
             names = [f"{loop.namespace}/{node}" for loop in loops for node in loop.nodes]
@@ -102,6 +104,7 @@ def run_loops(
             for loop in loops:
                 expected |= _listeners(loop)
             conductor.wait_for_listeners(expected)
+            conductor.wait_for_recorder(recorder, topics)
             for loop in loops:
                 space = loop.namespace
                 conductor.set(

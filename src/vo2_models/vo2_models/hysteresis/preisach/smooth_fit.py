@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +19,7 @@ from vo2_models.hysteresis.preisach.grid import Diagonal, cell_areas, cell_count
 from vo2_models.hysteresis.preisach.interior_point import nonnegative_masses, signed_masses
 from vo2_models.hysteresis.preisach.least_squares import PreisachFit
 from vo2_models.hysteresis.preisach.operator import PreisachOperator
+from vo2_models.numerics.parallel import parallel_map
 from vo2_models.validation import finite_array
 
 __all__ = ["STRENGTHS", "SmoothFit", "fit_smooth", "roughness"]
@@ -169,6 +171,11 @@ class SmoothProblem:
         """Measured minus modelled output of all samples (n,)."""
         return np.asarray(self.outputs - constant - self.rows @ node_values(masses), dtype=np.float64)
 
+    def held_out(self, strength: float, nonnegative: bool, out: Booleans) -> float:
+        """Return the squared error on the samples `out` (n,) of a fit to all others."""
+        masses, constant = self.solve(strength, ~out, nonnegative)
+        return float(np.sum(self.residual(masses, constant)[out] ** 2))
+
     def operator(
         self, masses: Floats, constant: float, walls: Floats, diagonal: Diagonal
     ) -> PreisachOperator:
@@ -261,12 +268,10 @@ def fit_smooth(
     for sign in signs if compared else ():
         worse = 0
         for k in np.argsort(-tried):
-            squares = 0.0
-            for fold in range(folds):
-                out = part == fold
-                masses, constant = problem.solve(float(tried[k]), ~out, sign)
-                squares += float(np.sum(problem.residual(masses, constant)[out] ** 2))
-            error = np.sqrt(squares / part.size)
+            squares = parallel_map(
+                partial(problem.held_out, float(tried[k]), sign), [part == fold for fold in range(folds)]
+            )
+            error = np.sqrt(sum(squares) / part.size)
             worse = 0 if error < errors[sign].min() else worse + 1
             errors[sign][k] = error
             if worse == _WORSE:

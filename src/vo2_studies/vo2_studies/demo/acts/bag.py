@@ -68,6 +68,7 @@ def _replay(stage: Stage, first: Phase, last: Phase) -> None:
         "record", name="record_replayed", arguments=["--output", str(copy), "--topics", f"{_REPLAY}/estimate"]
     )
     stage.conductor.wait_for_nodes([f"{_REPLAY}/estimator"])
+    stage.conductor.wait_for_recorder(recorder, [f"{_REPLAY}/estimate"])
     # from the first sample after the model was set
     offset = first.start_s - recordings["measurement"].time_s[0] + 0.5 * period
     end_s = last.end_s - 0.5 * period

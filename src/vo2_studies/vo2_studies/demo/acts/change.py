@@ -50,8 +50,7 @@ def _record(stage: Stage, truth: Concealed) -> Path:
     stage.say(
         "giving the device a change that nobody tells the diagnosis about, and recording 10 000 samples"
     )
-    # what earlier nodes of the same names said must not count for the new ones
-    stage.conductor.statuses.clear()
+    stage.conductor.forget()
     topics = [f"{COMPOSITE}/command", f"{COMPOSITE}/measurement"]
     recorder = graph.start(
         "record", name="record_concealed", arguments=["--output", str(bag), "--topics", *topics]
@@ -72,6 +71,7 @@ def _record(stage: Stage, truth: Concealed) -> Path:
             (f"{COMPOSITE}/plant", topics[1]): 2,
         }
     )
+    stage.conductor.wait_for_recorder(recorder, topics)
     play(
         stage,
         "concealed",

@@ -26,7 +26,9 @@ def run(stage: Stage) -> None:
     graph = stage.graph
     common: dict[str, Value] = {"preset": stage.preset}
     stage.say(f"starting the nodes as separate processes (ROS_DOMAIN_ID {graph.domain})")
-    graph.start("record", arguments=["--output", str(stage.bag), "--topics", *RECORDED], namespace=COMPOSITE)
+    recorder = graph.start(
+        "record", arguments=["--output", str(stage.bag), "--topics", *RECORDED], namespace=COMPOSITE
+    )
     for space, kind in ((COMPOSITE, "composite"), (POLYNOMIAL, "polynomial")):
         # the same device twice: the same seed, so that the two schemes are compared on equal terms
         device = {**common, "seed": stage.seed, "true_channels": True, "clock": space == COMPOSITE}
@@ -66,4 +68,5 @@ def run(stage: Stage) -> None:
         expected[f"{space}/reference", f"{space}/reference"] = 2
         expected[f"{space}/controller", f"{space}/command"] = 2
     stage.conductor.wait_for_listeners(expected)
+    stage.conductor.wait_for_recorder(recorder, RECORDED)
     stage.say(f"{len(nodes) + 3} processes are on the graph")

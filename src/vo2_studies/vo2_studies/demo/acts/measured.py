@@ -108,6 +108,9 @@ def _side_by_side(stage: Stage, found: list[tuple[_Rig, Path]]) -> list[str]:
         graph.start("convert", name=f"convert_{rig.name}", arguments=arguments)
         _start_nodes(stage, rig)
     conductor.wait_for_nodes([f"{rig.space}/{node}" for rig in rigs for node in ("estimator", "identifier")])
+    for process in [each for each in graph.processes if "_record_" in each.name]:
+        rig = next(rig for rig in rigs if process.name.endswith(rig.name))
+        conductor.wait_for_recorder(process, [f"{rig.space}/estimate"])
     for process in [each for each in graph.processes if "convert" in each.name]:
         graph.wait(process, 60.0)
     for rig in rigs:
