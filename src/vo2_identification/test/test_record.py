@@ -46,9 +46,18 @@ def publish_paced(publisher, messages, rate):
         time.sleep(1 / rate)
 
 
-def wait_for_recorder(*publishers):
+def wait_for_recorder(process, *publishers):
+    """Wait until both sides have met, as the recorder says, and return its lines: what comes before is not promised."""
+    lines = []
+    waiting = {publisher.topic_name for publisher in publishers}
+    while waiting:
+        line = process.stdout.readline()
+        assert line, f"the recorder ended before it heard {waiting}"
+        lines.append(line)
+        if line.startswith(record.HEARS):
+            waiting -= {topic.strip() for topic in line.removeprefix(record.HEARS).split(",")}
     wait_until(lambda: all(publisher.get_subscription_count() > 0 for publisher in publishers), "discovery")
-    time.sleep(0.5)  # the other side learns of the match a little later
+    return lines
 
 
 def counted(path):
@@ -66,7 +75,7 @@ def test_all_samples_of_two_fast_topics_are_recorded_with_their_stamps(graph, tm
     with running(
         RECORD, "--output", tmp_path / "bag", "--storage", storage, "--messages", 2 * total
     ) as process:
-        wait_for_recorder(measurement, command)
+        wait_for_recorder(process, measurement, command)
         for k in range(total):
             measurement.publish(sample(k))
             command.publish(COMMANDED.write(k * STEP_NS, (1.0 + k,)))
@@ -89,7 +98,7 @@ def test_all_samples_of_two_fast_topics_are_recorded_with_their_stamps(graph, tm
 def test_a_killed_recorder_leaves_a_bag_up_to_the_last_second(graph, tmp_path, storage):
     measurement = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
     with running(RECORD, "--output", tmp_path / "bag", "--storage", storage) as process:
-        wait_for_recorder(measurement)
+        wait_for_recorder(process, measurement)
         publish_paced(measurement, [sample(k) for k in range(500)], 400)
         process.send_signal(signal.SIGKILL)
         process.wait(timeout=5)
@@ -110,7 +119,7 @@ def test_a_killed_recorder_leaves_a_bag_up_to_the_last_second(graph, tmp_path, s
 def test_ctrl_c_and_sigterm_close_a_complete_bag(graph, tmp_path, how, options, files):
     measurement = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
     with running(RECORD, "--output", tmp_path / "bag", *options) as process:
-        wait_for_recorder(measurement)
+        wait_for_recorder(process, measurement)
         publish_paced(measurement, [sample(k) for k in range(100)], 1000)
         process.send_signal(how)
         out, err = process.communicate(timeout=PATIENCE_S)
@@ -130,7 +139,7 @@ def test_a_full_disk_is_said_and_the_bag_closed_readable(graph, tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (120_000, 120_000))
 
     with running(RECORD, "--output", tmp_path / "bag", before=small_disk) as process:
-        wait_for_recorder(measurement)
+        wait_for_recorder(process, measurement)
         k = 0
         deadline = time.monotonic() + PATIENCE_S
         while process.poll() is None and time.monotonic() < deadline:
@@ -150,7 +159,7 @@ def test_a_full_disk_is_said_and_the_bag_closed_readable(graph, tmp_path):
 def test_a_disk_that_is_full_before_the_first_sample_leaves_no_stub(graph, tmp_path):
     measurement = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
     with running(RECORD, "--output", tmp_path / "bag") as process:
-        wait_for_recorder(measurement)
+        wait_for_recorder(process, measurement)
         (file,) = (tmp_path / "bag").glob("*.mcap")
         room = file.stat().st_size  # none beyond that of the empty bag
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (room, room))
@@ -173,7 +182,7 @@ def test_latched_references_odd_publishers_and_repeats(graph, tmp_path):
     )
     odd = graph.publisher(JointState, "/vo2/measurement", sensor)
     with running(RECORD, "--output", tmp_path / "bag", "--messages", 11) as process:
-        wait_for_recorder(reference, odd)
+        wait_for_recorder(process, reference, odd)
         for k in range(10):
             for _ in range(3):  # as a plant in lockstep repeats itself
                 odd.publish(sample(k))
@@ -193,7 +202,7 @@ def test_messages_on_another_clock_are_filed_under_the_samples(graph, tmp_path):
     measurement = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
     clock = graph.publisher(Clock, "/clock", SAMPLE_QOS)
     with running(RECORD, "--output", tmp_path / "bag", "--messages", 4) as process:
-        wait_for_recorder(diagnostics, measurement, clock)
+        wait_for_recorder(process, diagnostics, measurement, clock)
         wall = DiagnosticArray()
         wall.header.stamp.sec = 1_700_000_000
         diagnostics.publish(wall)  # nobody knows the samples' time yet
@@ -223,9 +232,8 @@ def test_another_namespace_and_a_topic_whose_type_the_graph_knows(graph, tmp_pat
     topics = ("--topics", "/rig/measurement", "/rig/health")
     options = ("--namespace", "/rig", "--output", tmp_path / "bag", "--messages", 2)
     with running(RECORD, *topics, *options) as process:
-        wait_for_recorder(measurement, health)
+        told = wait_for_recorder(process, measurement, health)
         measurement.publish(sample(1))
-        told = [process.stdout.readline(), process.stdout.readline()]
         health.publish(DiagnosticArray())
         _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
@@ -281,15 +289,38 @@ def test_what_came_before_the_stop_is_in_the_bag_though_the_recorder_lags_behind
     plenty = QoSProfile(depth=total, reliability=SAMPLE_QOS.reliability, durability=SAMPLE_QOS.durability)
     publisher = graph.publisher(JointState, "/vo2/measurement", plenty)
     with running(RECORD, "--output", tmp_path / "bag", "--topics", "/vo2/measurement") as process:
-        wait_for_recorder(publisher)
+        wait_for_recorder(process, publisher)
         process.send_signal(signal.SIGSTOP)
-        for k in range(total):
-            publisher.publish(sample(k))
+        given_up = (
+            time.monotonic() + 10
+        )  # well before a publisher does, after 20 s: it waits where the socket is full
+        sent = 0
+        while sent < total and time.monotonic() < given_up:
+            publisher.publish(sample(sent))
+            sent += 1
         process.send_signal(signal.SIGINT)
         process.send_signal(signal.SIGCONT)
         _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
-    assert counted(tmp_path / "bag") == {"/vo2/measurement": total}
+    assert counted(tmp_path / "bag") == {"/vo2/measurement": sent}
+
+
+@pytest.mark.slow
+def test_a_recorder_that_stood_still_for_longer_than_publishers_wait_says_so(graph, tmp_path):
+    publisher = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
+    with running(RECORD, "--output", tmp_path / "bag", "--topics", "/vo2/measurement") as process:
+        wait_for_recorder(process, publisher)
+        publish_paced(publisher, [sample(k) for k in range(50)], 500)
+        time.sleep(0.5)
+        process.send_signal(signal.SIGSTOP)
+        wait_until(lambda: publisher.get_subscription_count() == 0, "the publisher's giving up", timeout_s=60)
+        publish_paced(publisher, [sample(k) for k in range(50, 60)], 500)
+        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGCONT)
+        _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 1
+    assert "record: stood still for " in err
+    assert counted(tmp_path / "bag") == {"/vo2/measurement": 50}
 
 
 def test_what_does_not_arrive_is_counted_told_and_ends_with_status_1(graph, tmp_path):
@@ -298,7 +329,7 @@ def test_what_does_not_arrive_is_counted_told_and_ends_with_status_1(graph, tmp_
     publisher = graph.publisher(JointState, "/vo2/measurement", sensor)
     arguments = ("--output", tmp_path / "bag", "--topics", "/vo2/measurement")
     with running(RECORD, *arguments) as process:
-        wait_for_recorder(publisher)
+        wait_for_recorder(process, publisher)
         publish_paced(publisher, [sample(k) for k in range(50)], 500)
         process.send_signal(signal.SIGSTOP)
         publish_paced(publisher, [sample(k) for k in range(50, 30_050)], 20_000)
@@ -323,7 +354,7 @@ def test_malformed_messages_are_left_out_and_counted(graph, tmp_path):
     negative[4:8] = (-1).to_bytes(4, "little", signed=True)
     overflow[8:12] = (2_000_000_000).to_bytes(4, "little")
     with running(RECORD, "--output", tmp_path / "bag") as process:
-        wait_for_recorder(publisher)
+        wait_for_recorder(process, publisher)
         messages = [sample(1), bytes(negative), bytes(overflow), bytes(overflow), sample(1)[:9], sample(2)]
         publish_paced(publisher, messages, 100)
         time.sleep(0.3)
@@ -358,7 +389,7 @@ def test_the_namespace_of_ros_arguments_chooses_the_loop(graph, tmp_path):
     measurement = graph.publisher(JointState, "/rig/measurement", SAMPLE_QOS)
     options = ("--output", tmp_path / "bag", "--messages", 1, "--ros-args", "-r", "__ns:=/rig")
     with running(RECORD, *options) as process:
-        wait_for_recorder(measurement)
+        wait_for_recorder(process, measurement)
         measurement.publish(sample(1))
         _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err

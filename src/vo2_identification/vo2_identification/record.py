@@ -33,8 +33,11 @@ lacks messages ends with status 1.
 """
 _ARRIVE_S = 0.3  # a few times what a publisher takes to notice that something is to be sent again
 _POLL_S = 0.005
-_DRAIN_S = 5.0  # at most, of the queue that a slow disk or busy processors left
+_DRAIN_S = 15.0  # at most, of the queue that a slow disk or busy processors left
 _GATHER_S = 0.02
+_LATE_S = 0.2  # not run for so long, and what arrived meanwhile may not have fitted into the socket's buffer
+_SENT_AGAIN_S = 3.5  # within which publishers offer that once more: Fast DDS does every 3 s
+_GIVEN_UP_S = 16.0  # publishers give up who is silent for 20 s (the lease of Fast DDS); it speaks every 3 s
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -103,32 +106,37 @@ def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) ->
         print(f"Recording {what} into {bag.path}; Ctrl-C ends it.", flush=True)
         gc.freeze()  # what is loaded by now never goes: without it every collection stalls the loop
         with Progress("record", lines=False) as progress:
-            _take_all(recorder, options, stop, progress)
+            stood_still_s = _take_all(recorder, options, stop, progress)
         recorder.finish()
         failure = recorder.failure
         try:
             bag.close()
         except OSError as error:
             failure = failure or error
-        return _summary(recorder, options.lost_limit, failure)
+        return _summary(recorder, options.lost_limit, failure, stood_still_s)
     except (ValueError, RuntimeError) as error:  # rclpy raises bare RuntimeErrors of its C layer
         return refuse("record", error)
     finally:
         leave_graph(None, [] if recorder is None else [recorder])
 
 
-def _take_all(recorder: Recorder, options: argparse.Namespace, stop: StopFlag, progress: Progress) -> None:
+def _take_all(recorder: Recorder, options: argparse.Namespace, stop: StopFlag, progress: Progress) -> float:
+    """Record until it is time to stop; return the longest time for which this process did not run."""
     period = recorder.bag.flush_period_s
-    started = shown = time.monotonic()
+    started = shown = now = time.monotonic()
     count_shown = lost_told = 0
+    stood_still_s, late_until = 0.0, started
     met: set[str] = set()
     while not stop.is_set and recorder.failure is None:
         # waking up for every message would take time from the loop beside it: they wait for each other
         time.sleep(_GATHER_S)
         recorder.take(most=options.messages)
-        now = time.monotonic()
+        before, now = now, time.monotonic()
+        stood_still_s = max(stood_still_s, now - before)
+        if now - before > _LATE_S:
+            late_until = now + _SENT_AGAIN_S
         if _enough(recorder, options):
-            return
+            return stood_still_s
         if options.duration is not None and now - started >= options.duration:
             break
         if now - shown >= period:
@@ -145,20 +153,21 @@ def _take_all(recorder: Recorder, options: argparse.Namespace, stop: StopFlag, p
                 progress.clear()
                 print(f"record: {lost_told} messages did not arrive so far", file=sys.stderr, flush=True)
     # what was published before the stop belongs into the bag, however long the queue has become
-    stopped_ns, heard = time.time_ns(), time.monotonic()
-    deadline = heard + _DRAIN_S
-    while (now := time.monotonic()) < min(deadline, heard + _ARRIVE_S):
+    stopped_ns, stopped = time.time_ns(), time.monotonic()
+    wait_until = max(stopped + _ARRIVE_S, late_until)
+    while (now := time.monotonic()) < min(wait_until, stopped + _DRAIN_S):
         if recorder.take(before_ns=stopped_ns, most=options.messages):
-            heard = now
+            wait_until = max(now + _ARRIVE_S, late_until)
         else:
             time.sleep(_POLL_S)
+    return stood_still_s
 
 
 def _enough(recorder: Recorder, options: argparse.Namespace) -> bool:
     return options.messages is not None and recorder.count >= options.messages
 
 
-def _summary(recorder: Recorder, lost_limit: int, failure: OSError | None) -> int:
+def _summary(recorder: Recorder, lost_limit: int, failure: OSError | None, stood_still_s: float) -> int:
     bag = recorder.bag
     counts = ", ".join(f"{topic} {count}" for topic, count in sorted(bag.counts.items())) or "none"
     if failure is not None and not bag.count:
@@ -189,6 +198,13 @@ def _summary(recorder: Recorder, lost_limit: int, failure: OSError | None) -> in
         print(
             f"record: the bag lacks {recorder.lost} messages, more than --lost-limit {lost_limit}: this machine was too "
             "busy or a publisher's queue too short; record again",
+            file=sys.stderr,
+        )
+        return 1
+    if stood_still_s > _GIVEN_UP_S:
+        print(
+            f"record: stood still for {stood_still_s:.0f} s: publishers give up a listener after {_GIVEN_UP_S:.0f} to 20 s, "
+            "and what they sent then may be missing; record again",
             file=sys.stderr,
         )
         return 1
