@@ -101,6 +101,7 @@ def test_commands_stamped_at_the_other_end_of_their_interval_are_found(parameter
     assert any("command_delay" in text and f"{1e-3 * periods:+.4g} s" in text for text in answer.limits)
 
 
+@pytest.mark.slow
 def test_a_dead_time_is_no_stamp(parameters) -> None:
     answer = diagnose([concealed({"dead_time": {"delay": 1.5e-3}})], parameters)
     assert [(e.id, e.family) for e in answer.effects] == [("dead_time", "drive")]

@@ -285,6 +285,7 @@ def test_a_driver_that_ripples_is_unknown_and_seen_in_its_current(read_parameter
     assert fit.nrmse_after < 0.1 * fit.nrmse_before
 
 
+@pytest.mark.slow
 def test_a_limit_that_only_the_largest_currents_reach_is_found(parameters) -> None:
     command = concealed()[HEATER_CURRENT]
     limit = 0.97 * float(np.max(command))
@@ -383,6 +384,7 @@ def test_a_light_that_is_always_on_is_told_as_a_constant(parameters) -> None:
     validate(answer.to_dict())
 
 
+@pytest.mark.slow
 def test_a_light_that_goes_on_and_off_is_found_with_its_times(parameters) -> None:
     light = {"rise": 0.3, "start": 1.1, "stop": 2.9}
     answer = diagnose([concealed({"laser_heating": light})], parameters)

@@ -75,6 +75,7 @@ def test_a_channel_that_is_beyond_its_range_most_of_the_time_is_judged_by_the_re
     assert any("sits at its end value in 99 %" in text for text in diagnose([few], parameters).limits)
 
 
+@pytest.mark.slow
 def test_an_effect_beside_a_coarse_converter_is_named_too(parameters) -> None:
     answer = diagnose([with_tip(concealed(CREEP), coarse)], parameters)
     assert named(answer) == [("adc_quantization", TIP_DEFLECTION), ("creep", None)]
@@ -87,6 +88,7 @@ def test_a_converter_that_the_calibration_had_too_is_its_noise(coarse_model) -> 
     assert answer.verdict == "agrees"
 
 
+@pytest.mark.slow
 def test_a_converter_that_was_coarse_all_along_is_told_where_that_is_asked(coarse_model) -> None:
     answer = diagnose([concealed(COARSE)], coarse_model, calibration=[measured(calibration(effects=COARSE))])
     assert named(answer) == [("adc_quantization", TIP_DEFLECTION)]
@@ -163,6 +165,7 @@ def moving_mean(values: np.ndarray, samples: int) -> np.ndarray:
     return np.convolve(before, np.ones(samples) / samples, "valid")
 
 
+@pytest.mark.slow
 def test_a_mean_of_three_samples_is_no_resonance(parameters) -> None:
     """A program's mean, not an integrating converter's: half a sample apart, which is hundreds of noise powers here."""
     answer = diagnose([with_tip(concealed(), lambda tip: moving_mean(tip, 3))], parameters)
@@ -172,6 +175,7 @@ def test_a_mean_of_three_samples_is_no_resonance(parameters) -> None:
     assert found["window"].value == pytest.approx(3e-3, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_channel_that_is_late_by_many_samples_is_told_as_that(parameters) -> None:
     """The corrections of the loops' shape come late with the channel: else a second effect would stand for them."""
     answer = diagnose([with_tip(concealed(), lambda tip: np.roll(tip, 12))], parameters)

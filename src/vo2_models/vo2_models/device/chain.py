@@ -267,7 +267,7 @@ def finish_film(kind, c, x, poly_d, rest, at_rest, film, out, every, result):
         time = c[C.CLOCK] * (k * period)
         x[S.FILM] = out[k, 5]
         x[S.OUT_D] = out[k, 8] + film[k, 1]
-        resistance = out[k, 6] * 10.0 ** min(max(film[k, 0], -30.0), 30.0)
+        resistance = out[k, 6] * math.exp(LN10 * min(max(film[k, 0], -30.0), 30.0))
         tip = generated.structure(c, x, _film_deflection(kind, c, x, poly_d), period)
         terminal = generated.terminals(c, x, resistance, out[k, 0], time, x[S.FILM])
         if c[_SENSORS + _PER_CHANNEL + N.IDEAL] == 0.0:

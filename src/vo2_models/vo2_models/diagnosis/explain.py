@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.hypotheses import MAGNITUDE_STEP, Hypothesis
 from vo2_models.diagnosis.problem import LinearisedProblem
+from vo2_models.numerics.parallel import parallel_map
 
 __all__ = ["Explanation", "Score", "either_way", "fit_jointly", "score", "switched"]
 
@@ -37,8 +38,8 @@ SETTLED = 1e-4
 """Share of the whole drop of chi-square below which a step's drop shows that the next would bring next to nothing."""
 TOLD = 0.1
 """Drop of chi-square, in units of the residual's power over the noise's, below which two fits are the same."""
-BATCH = 32
-"""Simulations judged together; one matrix product serves them all."""
+BATCH = 8
+"""Simulations judged together, on one core; one matrix product serves them all."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,8 @@ def score(
     the best start of each hypothesis, best hypothesis first
     """
     # what happens between samples changes a size, not whether a refit is worth it; but like is compared with like
-    fine = bool(problem.included)
+    if problem.included:
+        problem = replace(problem, nominal_responses=tuple(problem.responses({}, fine=False)))
     left = problem.apply_inverse_covariance(residual)
     best: dict[str, Score] = {h.key: Score(h, h.starts[0], 0.0) for h in hypotheses}
     trials: list[tuple[Hypothesis, dict[str, float]]] = []
@@ -167,19 +169,21 @@ def score(
         combined, seen = _combined(problem, hypothesis, left, tick)
         trials += [(hypothesis, values) for values in combined]
         best[hypothesis.key] = replace(best[hypothesis.key], visible=seen)
+
+    def products_of(
+        some: Sequence[tuple[Hypothesis, Mapping[str, float]]],
+    ) -> tuple[list[float], list[float]]:
+        """Of each start v the products r'C^-1 v and v'C^-1 v, r the residual."""
+        columns = np.column_stack([problem.deviation(h.effects(v), fine=False) for h, v in some])
+        for _ in some:
+            tick()
+        return (left @ columns).tolist(), problem.chi_squares(columns).tolist()
+
     for _ in range(ROUNDS):
         again: list[tuple[float, Hypothesis, dict[str, float]]] = []
-        for first in range(0, len(trials), BATCH):
-            some = trials[first : first + BATCH]
-            columns = np.column_stack(
-                problem.deviations([h.effects(values) for h, values in some], fine=fine)
-            )
-            for _ in some:
-                tick()
-            own = problem.chi_squares(columns)
-            along = left @ columns
-            for place, (hypothesis, values) in enumerate(some):
-                a, o = float(along[place]), float(own[place])
+        batches = [trials[first : first + BATCH] for first in range(0, len(trials), BATCH)]
+        for some, products in zip(batches, parallel_map(products_of, batches), strict=True):
+            for (hypothesis, values), a, o in zip(some, *products, strict=True):
                 gain = 2.0 * a - o
                 if not hypothesis.magnitudes and a > 0 and o > 1e-9:
                     gain = a * a / o
@@ -227,7 +231,7 @@ def _combined(
         for shape in shapes
         for n in names
     ]
-    columns = np.column_stack(problem.deviations([hypothesis.effects(values) for values in trials]))
+    columns = np.column_stack(problem.deviations([hypothesis.effects(v) for v in trials], fine=False))
     for _ in trials:
         tick()
     for k in range(columns.shape[1]):
