@@ -473,6 +473,22 @@ def test_on_a_short_recording_nothing_is_tried_that_is_not_physical() -> None:
     assert 0 < abs(found[0].start["curvature"]) <= drifts[0].bounds("curvature")[1]
 
 
+def test_beside_an_effect_between_samples_starts_are_told_from_the_same_steps() -> None:
+    """Starts are simulated by whole samples: what they change must be told from such a simulation, not from a finer one."""
+    lag = {"sensor_lag:" + RESISTANCE: {"signal": RESISTANCE, "time_constant": 4e-4}}
+    nominal, current, dt = replace(_model(), noise={RESISTANCE: NoiseModel(1e-4)}), _drive(3000), 1e-3
+    shown = nominal.respond(current, dt, effects=lag).channels[RESISTANCE]
+    recording = Recording(
+        dt * np.arange(current.size), {HEATER_CURRENT: current, RESISTANCE: 10.0**shown}, "integrated"
+    )
+    problem = linearise_problem(nominal, [prepare(recording, nominal)], effects=lag)
+    coarse = problem.stack(problem.responses({}, fine=False))
+    nothing = Hypothesis(effects()["nonlinear_heat_loss"], "", ({"share": 1e-9},), {"share": 0.005})
+    found = score(problem, [nothing], problem.residual)
+    assert problem.chi_square(coarse) > 100.0  # the steps are seen
+    assert found[0].visible < 1e-3
+
+
 def test_a_place_is_told_by_the_change_over_the_noise_power() -> None:
     """Slow noise must not hide that a slow change is in a channel: its innovations would tell less of it."""
     problem = _changed({}, ar=(0.9,))
