@@ -144,6 +144,7 @@ def test_the_library_sets_the_time_of_day_and_no_other_clock(clock):
     assert float(said[0]) == pytest.approx(-7200, abs=60) and abs(float(said[1])) < 60
 
 
+@pytest.mark.alone
 def test_setting_the_time_of_day_disturbs_no_loop_in_wall_time(clock, model_file, tmp_path, capfd):
     steps = (3600, -7200, 3)
     farthest, silent = 0.0, 0.0

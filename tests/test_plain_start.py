@@ -167,6 +167,7 @@ def test_a_program_without_our_settings_hears_the_nodes():
     assert "film_resistance" in listener.stdout, listener.stderr
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("samples", [3_000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_three_processes_and_a_recorder_at_1_khz_lose_nothing(tmp_path, samples):
     environment = plain_environment()
