@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from vo2_interface.testing import free_domain, hear_ctrl_c
+from vo2_interface.one_host import free_domain
+from vo2_interface.testing import hear_ctrl_c
 from vo2_models.device import truth
 from vo2_models.identification.excitation import damped_oscillation
 from vo2_models.model_file import save_model_parameters

@@ -12,8 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from vo2_interface.one_host import keeps_wall_time, missing_settings
-from vo2_interface.testing import free_domain
+from vo2_interface.one_host import free_domain, keeps_wall_time, missing_settings
 
 SETTINGS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "FASTRTPS_DEFAULT_PROFILES_FILE")
 PATIENCE_S = 60.0

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from test_plain_start import installed, running, wait_for
-from vo2_interface.testing import bench, free_domain
+from vo2_interface.one_host import free_domain
+from vo2_interface.testing import bench
 
 GERMAN = """
 import locale, sys

@@ -13,12 +13,11 @@ from typing import Any
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from vo2_interface.one_host import one_host_environment
-from vo2_interface.testing import free_domain
+from vo2_interface.one_host import free_domain, one_host_environment
 
 PATIENCE_S = 45.0
 """How long a test waits for what normally takes a second: the machine may be busy."""
-DOMAIN = free_domain()
+DOMAIN = free_domain(keep=True)
 _SOURCES = Path(__file__).resolve().parents[2]
 _PACKAGES = (
     "vo2_models",

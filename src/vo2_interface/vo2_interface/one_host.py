@@ -11,18 +11,23 @@ graph, so that nothing depends on the shell it was started from. What the user h
 from __future__ import annotations
 
 import fcntl
+import itertools
 import os
 import re
+import tempfile
 import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import IO
 
 from vo2_models.io import InputError, read_yaml
 
 __all__ = [
     "FASTDDS_LOOPBACK_PROFILE",
     "FASTDDS_NETWORK_PROFILE",
+    "free_domain",
     "keeps_wall_time",
     "missing_settings",
     "one_host_environment",
@@ -44,8 +49,39 @@ the dead reader's memory, as far as is known); over sockets none of 62 did."""
 _SHARED_MEMORY = Path("/dev/shm")
 _YOUNG_S = 5.0
 """Age below which a file may belong to a process that is just making it [s]."""
+_DOMAINS = itertools.count(os.getpid())
+_LAST: deque[IO[str]] = deque(maxlen=10)
+"""Locks of the last domains of this process: eight test runs beside each other leave some of the hundred free."""
+_KEPT: list[IO[str]] = []
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+
+
+def free_domain(*, keep: bool = False) -> int:
+    """Return a ROS domain that no other run has, of this process or another: a lock tells the others.
+
+    Parameters
+    ----------
+    keep : whether it is this process's own until it ends; otherwise until ten others were asked for
+
+    Raises
+    ------
+    RuntimeError : all hundred are taken.
+    """
+    if not keep and len(_LAST) == _LAST.maxlen:
+        _LAST.popleft().close()
+    # three rounds: while one goes on, other runs let domains go behind it and take those before it
+    for number in itertools.islice(_DOMAINS, 300):
+        domain = 1 + number * 37 % 100
+        lock = (Path(tempfile.gettempdir()) / f"vo2_domain_{domain}.{os.getuid()}").open("w")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+            continue
+        (_KEPT if keep else _LAST).append(lock)
+        return domain
+    raise RuntimeError("found no free ROS domain of 1 to 100, need one that no other run holds")
 
 
 def missing_settings(

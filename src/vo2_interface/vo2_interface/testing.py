@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import fcntl
-import itertools
 import os
 import signal
-import tempfile
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
@@ -20,39 +15,13 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from vo2_interface.executable import fastest_executor, join_graph, leave_graph
-from vo2_interface.one_host import one_host_environment
+from vo2_interface.one_host import free_domain, one_host_environment
 from vo2_interface.samples import SampleReader, SampleWriter
 from vo2_interface.topics import DIAGNOSTICS, LATCHED_QOS, READ_QOS, REFERENCE, SAMPLE_QOS
 
-__all__ = ["Bench", "bench", "free_domain", "hear_ctrl_c"]
+__all__ = ["Bench", "bench", "hear_ctrl_c"]
 
-_DOMAINS = itertools.count(os.getpid())
-_HELD: deque[IO[str]] = deque(maxlen=10)
-"""Locks of the last domains of this process: eight test runs beside each other leave some of the hundred free."""
 _TIMEOUT_S = 60.0
-
-
-def free_domain() -> int:
-    """Return a ROS domain that no other test has, of this process or another: a lock tells the others.
-
-    Raises
-    ------
-    RuntimeError : all hundred are taken.
-    """
-    if len(_HELD) == _HELD.maxlen:
-        _HELD.popleft().close()
-    # three rounds: while one goes on, other runs let domains go behind it and take those before it
-    for number in itertools.islice(_DOMAINS, 300):
-        domain = 1 + number * 37 % 100
-        lock = (Path(tempfile.gettempdir()) / f"vo2_test_domain_{domain}.{os.getuid()}").open("w")
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            lock.close()
-            continue
-        _HELD.append(lock)
-        return domain
-    raise RuntimeError("found no free ROS domain of 1 to 100, need one that no other test run holds")
 
 
 def hear_ctrl_c() -> None:

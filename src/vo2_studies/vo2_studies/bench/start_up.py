@@ -9,7 +9,7 @@ import sys
 from time import monotonic, perf_counter
 from typing import NamedTuple
 
-from vo2_interface.testing import free_domain
+from vo2_interface.one_host import free_domain
 
 from vo2_studies.bench.entry import Entry, Figure
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import random
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -22,6 +21,7 @@ from typing import Any
 
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
+from vo2_interface.one_host import free_domain
 from vo2_interface.samples import SampleWriter
 from vo2_interface.topics import LATCHED_QOS, REFERENCE_CHANNELS
 from vo2_models.parameters import Value
@@ -79,7 +79,7 @@ def measure(name: str, seconds: float, folder: Path, *, real_time: bool) -> Wall
     """
     rate, model = _RATES[name], folder / "model.yaml"
     shared: dict[str, Value] = {"preset": "integrated", "time": "wall", "rate_hz": rate}
-    graph = Graph(random.SystemRandom().randrange(1, 100), folder / name.replace(" ", "_"))
+    graph = Graph(free_domain(), folder / name.replace(" ", "_"))
     # before the first node of this process: its threads are not to run before those of the loop
     os.environ.update(graph.environment())
     conductor = Conductor(graph)

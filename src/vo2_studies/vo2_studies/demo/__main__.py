@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import random
 import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from vo2_interface.one_host import free_domain
 from vo2_models.io import OutputFolder, write_whole
 
 from vo2_studies.demo.acts import ACTS, act
@@ -63,7 +63,7 @@ def _run(options: argparse.Namespace, folder: Path) -> int:
     seed = options.seed
     print(f"seed {seed}; ./vo2 demo --seed {seed} --effect {options.effect} repeats this run", flush=True)
     # a domain of its own, so that nothing else on this host is disturbed or disturbs
-    graph = Graph(options.domain or random.SystemRandom().randrange(1, 100), folder / "logs")
+    graph = Graph(options.domain or free_domain(), folder / "logs")
     os.environ.update(graph.environment())
     conductor = Conductor(graph)
     stage = Stage(folder, options.preset, seed, options.effect, graph, conductor)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+from vo2_interface.one_host import free_domain
 from vo2_models.device.description import preset
 from vo2_models.parameters import Value
 
@@ -87,7 +87,7 @@ def run_loops(
     rows = "\n".join(f"{k * period:.9g},{value:.12g}" for k, value in enumerate(wanted_m))
     (folder / "reference.csv").write_text(f"time_s,tip_deflection\n{rows}\n", encoding="utf-8")
     # a domain of its own, so that nothing else on this host is disturbed or disturbs
-    graph = Graph(random.SystemRandom().randrange(1, 100), folder / "logs")
+    graph = Graph(free_domain(), folder / "logs")
     end_s = _FIRST_STAMP_S + count * period
     with _environment(graph.environment()):
         conductor = Conductor(graph)
