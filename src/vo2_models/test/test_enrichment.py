@@ -1,10 +1,14 @@
 """The correction of the loop shape against relays, plays and splines written out one at a time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
+from vo2_models.identification.digest import digest_of_drive
 from vo2_models.identification.enrichment import (
     DEEPEST,
+    LOCAL,
     EnrichmentBasis,
     cubic_spline,
     everett_table,
@@ -130,3 +134,43 @@ def test_a_folded_correction_is_the_weighted_sum_of_its_columns() -> None:
     weights[basis.groups["memoryless"]] = 0.0
     whole = basis.features(path, span=2.0) @ weights
     assert np.allclose(basis.fold(weights, span=2.0)(path), whole, rtol=1e-9, atol=1e-12)
+
+
+def test_a_basis_over_another_range_is_the_same_there() -> None:
+    """Stretched by 2 and moved: at stretched temperatures the columns are what they were, and as many."""
+    basis = EnrichmentBasis(temperature_degc=(40.0, 80.0), domains=1e3, local=LOCAL)
+    places = basis.typical_centre[0], basis.typical_half_width[0]
+    stretched = replace(
+        basis,
+        temperature_degc=(80.0, 160.0),
+        typical_centre=(2.0 * places[0], 2.0 * basis.typical_centre[1]),
+        typical_half_width=(2.0 * places[1], 2.0 * basis.typical_half_width[1]),
+    ).over(92.0, 152.0)
+    path = np.concatenate([[30.0], walk(300)])
+    before, after = basis.features(path, span=3.0), stretched.features(2.0 * path, span=3.0)
+    # cells begin at whole degrees, and are as many as fit: all else is the same
+    for name in basis.groups.keys() - {"scatter"}:
+        old, new = before[:, basis.groups[name]], after[:, stretched.groups[name]]
+        assert np.max(np.abs(new - old)) < 1e-9 * np.max(np.abs(old)), name
+
+
+def test_residuals_along_a_drive_are_means_between_its_turns() -> None:
+    """Two recordings, one behind the other; small turns are passed over, the way between the recordings is none of them."""
+    first = np.concatenate([np.linspace(30.0, 90.0, 200), np.linspace(90.0, 40.0, 150)[1:]])
+    second = np.interp(np.arange(400), [0, 100, 250, 399], [60.0, 85.0, 35.0, 70.0])
+    rng = np.random.default_rng(4)
+    path = np.concatenate([[-300.0], first, [-300.0], second + 0.01 * rng.standard_normal(400)])
+    residual = np.where(path > 0.0, 1e-3 * path, np.nan)
+    digest = digest_of_drive(path, residual, np.zeros(path.size), starts=[0, first.size + 1], most=60)
+    assert digest.count.size <= 64
+    known = digest.count > 0.0
+    middle = 0.5 * (digest.temperature[1:] + digest.temperature[:-1])
+    assert np.max(np.abs(digest.log_resistance - 1e-3 * middle)[known]) < 2e-4, "means of a straight line"
+    turns = (90.0, 40.0, 85.0, 35.0)
+    assert all(np.min(np.abs(digest.temperature - turn)) < 0.5 for turn in turns), "turning points are ends"
+    jumps = np.abs(np.diff(digest.temperature)) > 100.0
+    assert np.count_nonzero(jumps) == 3 and not np.any(digest.count[jumps])
+    # all samples but those beside a start, which count half or not at all
+    assert path.size - 2 - digest.count.sum() < 4.0
+    long = digest_of_drive(path, residual, np.zeros(path.size), starts=[0, first.size + 1])
+    assert long.count.size > 300

@@ -9,9 +9,11 @@ from vo2_identification.bags import read_recording
 from vo2_models.device.description import described
 from vo2_models.recording import Recording
 from vo2_studies.challenge import command
+from vo2_studies.challenge.families import FAMILIES
 from vo2_studies.challenge.judging import judge
+from vo2_studies.challenge.recordings.bodyless import SAMPLES, BodylessSettings
 from vo2_studies.challenge.recordings.changes import CHANGES, changed
-from vo2_studies.challenge.recordings.draw import MeasuredSettings, _conceal
+from vo2_studies.challenge.recordings.draw import MeasuredSettings, conceal
 from vo2_studies.challenge.recordings.sets import MOST, MeasuredSet, repeat_spread
 from vo2_studies.challenge.runner import Paths, load_json, write_case
 
@@ -50,11 +52,11 @@ def test_changes_are_exact():
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=[change.id for change in CHANGES])
-def test_what_was_concealed_can_be_judged(change):
+def test_what_wasconcealed_can_be_judged(change):
     """The answer holds all that a diagnosis is compared with: a mode's frequency too, not its share alone."""
     whole = Recording(TIME, {"drive": LOOP, "out": LOOP}, "rig")
     rig = MeasuredSet("rig", {}, "drive", "out", "ohm" if "ohm" in change.units else "m", whole, {}, 0.01)
-    _, entry = _conceal(rig, whole, change, 2.0)
+    _, entry = conceal(rig, whole, change, 2.0)
     role = rig.roles["out"]
     place = {"signal": role, "share": 1.0, "branch": "both", "frequency_hz": [7.8, 8.2]}
     told = {"id": change.id, "family": entry["families"][0], "probability": 0.9, "signal": entry["signal"]}
@@ -150,3 +152,58 @@ def test_a_folder_that_is_not_the_data_folder(tmp_path, capsys):
     assert command.main([*arguments, "--recordings", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert "piezo" in error and error.count("\n") == 1
+
+
+def test_cases_of_drawn_devices_without_body(tmp_path):
+    settings = BodylessSettings(5, "all")
+    plans = [settings.plan(k) for k in range(3 * len(CHANGES))]
+    assert [plan.kind for plan in plans[:3]] == ["none", "moved", "one"]
+    assert {plan.effects for plan in plans if plan.kind == "one"} == {(change.id,) for change in CHANGES}
+    assert {plan.family for plan in plans} == set(FAMILIES)
+    moved = {}
+    for plan in plans[:30]:
+        case, again = settings.case(plan), settings.case(plan)
+        recording = case.test.measurement
+        names = described(case.document, "bodyless").names
+        drive, response = (recording[name] for name in names.values())
+        assert np.array_equal(response, again.test.measurement[list(names.values())[1]]), "the seed decides"
+        assert len(recording) == SAMPLES and np.all(np.isfinite(response))
+        low, high = case.document["drive"]["operating"]
+        if plan.effects != ("drive_gain_drift",):
+            assert low - 1e-9 <= drive.min() and drive.max() <= high + 1e-9
+        calibration = case.calibration.measurement
+        assert not np.array_equal(calibration[next(iter(names.values()))], drive), "another path"
+        for entry in case.answer["moved"]:
+            moved.setdefault(entry["constant"], []).append(entry["by"])
+        assert bool(case.answer["moved"]) == (plan.kind == "moved")
+        assert len(case.answer["effects"]) == (plan.kind == "one")
+        write_case(case, Paths(tmp_path))
+        read, problems = read_recording(
+            tmp_path / "cases" / f"{plan.index:04d}" / "test", device=described(case.document, "bodyless")
+        )
+        assert len(read) == SAMPLES and [problem.kind for problem in problems] == ["missing_topic"]
+    assert set(moved) == {"deflection_scale", "deflection_zero", "film_scale"}
+    assert all(0.02 <= abs(by) <= 0.2 for by in itertools.chain(*moved.values()))
+
+
+def test_a_gain_moves_the_response_and_nothing_else():
+    drawing = BodylessSettings(6, "duhem", ("moved",))
+    cases = (drawing.case(drawing.plan(k)) for k in range(9))
+    moved = next(c for c in cases if c.answer["moved"][0]["constant"] == "deflection_scale")
+    settings = BodylessSettings(6, "duhem", ("none",))
+    plan = settings.plan(moved.plan.index)
+    plain = settings.case(plan).test.measurement
+    ratio = moved.test.measurement["response"] / plain["response"]
+    assert np.allclose(ratio, 1.0 + moved.answer["moved"][0]["by"])
+    assert np.array_equal(moved.test.measurement["drive"], plain["drive"])
+
+
+def test_the_command_draws_devices_without_body(tmp_path, capsys):
+    arguments = ["--cases", "3", "--seed", "3", "--output", str(tmp_path / "out"), "--bags-only"]
+    assert command.main([*arguments, "--rigs", "bodyless", "--family", "duhem"]) == 0
+    assert load_json(tmp_path / "out" / "settings.json")["family"] == "duhem"
+    assert (tmp_path / "out" / "cases" / "0002" / "device.yaml").exists()
+    for wrong in (["--family", "bell"], ["--kinds", "outside"]):
+        there = [*arguments[:4], "--output", str(tmp_path / "other"), "--rigs", "bodyless", *wrong]
+        assert command.main(there) == 2
+        assert f"found {wrong[1]!r}" in capsys.readouterr().err

@@ -185,7 +185,7 @@ def _named(
             located.problem, located.nominal, chosen, rival, limits, names=pairs[0], say=clock.say
         )
     residual = final.residual - chosen.deviation
-    drift = drift_of(final, residual)
+    drift = _drift(final, residual, verdict.judged)
     mimics: tuple[Hypothesis, ...] = ()
     if drift.significant(limits.drift_p):
         others = [h for h in found.candidates if h.key not in chosen.keys]
@@ -221,13 +221,13 @@ def _unnamed(
         unnamed = fit_nonparametric_correction(problem, located.remaining, block_folds(problem))
     verdict_word: Literal["agrees", "drifted", "differs"] = "differs"
     where, proposal = located.breakdown, None
-    drift = drift_of(problem, problem.residual)
+    drift = _drift(problem, problem.residual, verdict.judged)
     mimics: tuple[Hypothesis, ...] = ()
     described = 0.0 if unnamed is None else max(unnamed.share, verdict.shown)
     if unnamed is None or (described < limits.share and _is_small(located, verdict.judged, limits)):
         # more residual than noise at most, and nothing that predicts it: the fitted loops' own misfit
         unnamed, verdict_word = None, "agrees"
-        if drift.significant(limits.drift_p) and not first_use:
+        if drift.significant(limits.drift_p) and not first_use and _shows(problem, verdict.judged):
             verdict_word = "drifted"
             mimics = _mimics_of_constants(found.scores, limits, found.singles)
             where = tuple(breakdown(problem, problem.nuisance.thermal @ drift.weights, floor=0.0))
@@ -238,6 +238,25 @@ def _unnamed(
         drift=drift, mimics=mimics, adequacy=verdict.adequacy,
         unlike_noise=loud and unnamed is None,
     )  # fmt: skip
+
+
+def _drift(problem: LinearisedProblem, residual: Floats, judged: HeldOut) -> Drift:
+    """The move of the constants that a residual (N,) leads to.
+
+    On a device without body what a law misses on one path is not what it misses on another, and constants make up for it: the
+    standard deviations are wider by the error on held-out blocks over that of the calibration.
+    """
+    drift = drift_of(problem, residual)
+    if problem.nominal.model.description.has_body:
+        return drift
+    return drift.widened(max(1.0, *(judged.after[c] / judged.floor[c] for c in judged.after)))
+
+
+def _shows(problem: LinearisedProblem, judged: HeldOut) -> bool:
+    """Whether what the nuisance model takes up is more than a law without body misses of its own calibration."""
+    return problem.nominal.model.description.has_body or any(
+        judged.before[c] ** 2 - judged.after[c] ** 2 > judged.floor[c] ** 2 for c in judged.after
+    )
 
 
 def _with_constants_held(problem: LinearisedProblem) -> LinearisedProblem:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,10 @@ class Drift:
     std: Floats
     chi_square: float
     weights: Floats
+
+    def widened(self, by: float) -> Drift:
+        """Return the same with standard deviations `by` times as large: Birge's ratio, where more than noise is left."""
+        return replace(self, std=by * self.std, chi_square=self.chi_square / by**2)
 
     def significant(self, probability: float) -> bool:
         """Whether unchanged constants would move as far with at most this probability."""

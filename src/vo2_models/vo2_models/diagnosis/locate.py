@@ -105,10 +105,16 @@ def _left_out(problem: LinearisedProblem) -> float:
 
 
 def _over_misfit(problem: LinearisedProblem) -> dict[str, float]:
-    """Distance of each channel of a device without body from the model, r.m.s., over that of held-out calibration."""
+    """Distance of each channel of a device without body from the model, r.m.s., over that of held-out calibration.
+
+    Constants are moved: where they stand is told by itself.
+    """
     model = problem.nominal.model
     if model.description.has_body:
         return {}
+    weights = problem.fit_nuisance(problem.residual)[-len(problem.constants) :]
+    drifting = np.array([constant.drifts for constant in problem.constants])
+    residual = problem.residual - problem.nuisance.thermal @ np.where(drifting, weights, 0.0)
     found = {}
     for channel in dict.fromkeys(row.channel for row in problem.rows):
         sensor = model.sensors.get(channel)
@@ -117,7 +123,7 @@ def _over_misfit(problem: LinearisedProblem) -> dict[str, float]:
         squares, count = 0.0, 0
         for row in (row for row in problem.rows if row.channel == channel):
             counts = problem.weight[row.where] > 0
-            squares += float(np.sum(problem.in_its_unit(row, problem.residual)[counts] ** 2))
+            squares += float(np.sum(problem.in_its_unit(row, residual)[counts] ** 2))
             count += int(np.count_nonzero(counts))
         found[channel] = float(np.sqrt(squares / max(count, 1))) / sensor.misfit
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations, pairwise
@@ -34,11 +34,15 @@ STRETCHES = 6
 
 
 class _Kind(NamedTuple):
-    """What the basis does not resolve: misfit of a block by itself, or one that wanders; sizes in units of the noise, and [K]."""
+    """What the basis does not resolve: misfit of a block by itself, or one that wanders; sizes in units of the noise, and [K].
+
+    `size` multiplies what is expected beforehand of all weights of the basis.
+    """
 
     rough: float = 0.0
     wandering: float = 0.0
     travel: float = 1.0
+    size: float = 1.0
 
 
 KINDS = (
@@ -46,6 +50,10 @@ KINDS = (
     *(_Kind(0.0, size, travel) for size in (1.0, 3.0, 10.0) for travel in (3.0, 10.0)),
 )
 """Those that are tried; the calibration chooses."""
+KINDS_OF_RIGS = tuple(
+    _Kind(rough, size=size) for rough in (0.0, 1.0, 2.0, 4.0) for size in (1.0, 0.3, 0.1, 0.03)
+)
+"""The same on a device without body, where stretches of the calibration that are left out choose."""
 
 
 @dataclass(frozen=True)
@@ -186,6 +194,10 @@ def _loop_shape(nominal: Nominal, channel: str, chosen: LoopShape | None) -> Loo
     evidence = _Evidence(digest, nominal.noise[channel], channel, wide, nominal.span[channel])
     if chosen is not None:
         return evidence.shape(evidence.of(chosen.kind, chosen.basis))
+    if not nominal.model.description.has_body:
+        # the law was fitted to these residuals: evidence would take them for all that it misses
+        best = max(KINDS_OF_RIGS, key=lambda kind: evidence.of_stretches(kind, basis))
+        return evidence.shape(evidence.of(best, basis))
     fit = evidence.of(KINDS[0], basis)
     memories = [kinds for count in range(len(LOCAL) + 1) for kinds in combinations(LOCAL, count)]
     # one after the other, and once more with what the others have become
@@ -227,6 +239,7 @@ class _Whitened(NamedTuple):
     right: Floats
     right_of_lags: Floats
     energy: float
+    log_determinant: float
 
 
 class _Evidence:
@@ -260,11 +273,21 @@ class _Evidence:
         white = self._whitened(kind)
         own, scale = self._columns(basis), self._scale(basis)
         precision = white.gram[np.ix_(own, own)] * np.outer(scale, scale)
-        precision[np.diag_indices_from(precision)] += 1.0
+        precision[np.diag_indices_from(precision)] += kind.size**-2
         factor = cholesky(precision, lower=True, overwrite_a=True, check_finite=False)
         half = solve_triangular(factor, scale * white.right[own], lower=True, check_finite=False)
         score = -0.5 * (white.energy - float(half @ half)) - float(np.sum(np.log(np.diag(factor))))
         return _Fit(score, kind, basis, factor)
+
+    def of_stretches(self, kind: _Kind, basis: EnrichmentBasis) -> float:
+        """Return the logarithm of the probability of each stretch of the calibration given the others, summed."""
+        white = self._whitened(kind)
+        columns = white.features[:, self._columns(basis)] * self._scale(basis) * kind.size
+        found = sum(
+            -0.5 * (chi_square + log_determinant)
+            for _, chi_square, log_determinant in _left_out_each(columns, white.target)
+        )
+        return found - 0.5 * white.log_determinant
 
     def shape(self, fit: _Fit) -> LoopShape:
         """Return the posterior of a choice."""
@@ -275,7 +298,8 @@ class _Evidence:
         means = solve_triangular(factor, half, lower=True, trans="T", check_finite=False)
         level = self.noise.level
         misfit = Misfit(fit.kind.wandering * level, fit.kind.travel) if fit.kind.wandering else NO_MISFIT
-        left = _left_out(white.features[:, own] * scale, white.target, self.digest.count)
+        columns = white.features[:, own] * scale * fit.kind.size
+        left = _left_out(columns, white.target, self.digest.count)
         by_lag = dict(zip(self.digest.by_lag, means[:, 1:].T, strict=True))
         return LoopShape(
             fit.basis, self.span, means[:, 0], factor, fit.kind.rough * level, by_lag, misfit, left, fit.kind
@@ -299,7 +323,7 @@ class _Evidence:
             target = aim[:, 0]
             self._known[kind] = _Whitened(
                 features, target, features.T @ features, features.T @ target, features.T @ lags,
-                float(target @ target) + log_determinant,
+                float(target @ target) + log_determinant, log_determinant,
             )  # fmt: skip
         return self._known[kind]
 
@@ -334,23 +358,29 @@ def _left_out(columns: Floats, target: Floats, count: Floats) -> float:
     target : (n,) whitened residuals
     count : (n,) samples of each block
     """
+    worst = 0.0
+    for piece, chi_square, _ in _left_out_each(columns, target):
+        samples, blocks = float(np.sum(count[piece])), float(np.count_nonzero(count[piece] > 0.0))
+        if samples > 0.0:
+            worst = max(worst, (chi_square - blocks - 2.0 * np.sqrt(2.0 * blocks)) / samples)
+    return worst
+
+
+def _left_out_each(columns: Floats, target: Floats) -> Iterator[tuple[slice, float, float]]:
+    """Each stretch, its chi-square given the others, and the logarithm of the determinant of I + W_k P^-1 W_k'."""
     edges = np.linspace(0, target.size, STRETCHES + 1).astype(int)
     pieces = [slice(a, b) for a, b in pairwise(edges)]
     grams = [columns[piece].T @ columns[piece] for piece in pieces]
     rights = [columns[piece].T @ target[piece] for piece in pieces]
     gram, right = np.sum(grams, axis=0) + np.eye(columns.shape[1]), np.sum(rights, axis=0)
-    worst = 0.0
     for piece, own, ours in zip(pieces, grams, rights, strict=True):
-        samples, blocks = float(np.sum(count[piece])), float(np.count_nonzero(count[piece] > 0.0))
-        if samples <= 0.0:
-            continue
         factor = cho_factor(gram - own, lower=True, check_finite=False)
         left = target[piece] - columns[piece] @ cho_solve(factor, right - ours, check_finite=False)
         spread = columns[piece] @ cho_solve(factor, columns[piece].T, check_finite=False)
         spread[np.diag_indices_from(spread)] += 1.0
-        chi_square = float(left @ cho_solve(cho_factor(spread), left, check_finite=False))
-        worst = max(worst, (chi_square - blocks - 2.0 * np.sqrt(2.0 * blocks)) / samples)
-    return worst
+        root = cho_factor(spread, lower=True)
+        chi_square = float(left @ cho_solve(root, left, check_finite=False))
+        yield piece, chi_square, 2.0 * float(np.sum(np.log(np.diag(root[0]))))
 
 
 def _own_misfit(nominal: Nominal, channel: str, span: float) -> float:

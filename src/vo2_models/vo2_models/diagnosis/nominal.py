@@ -197,12 +197,13 @@ class Nominal:
     def _films(self) -> Callable[[bytes, bytes, float], Film]:
         """Corrected film for coefficients, current [A] and sample period [s], the last few kept."""
         plain, corrections = self.model.simulation, self.corrections
+        from_rest = self.model.description.has_body
 
         @lru_cache(maxsize=FILMS)
         def film(coefficients: bytes, current: bytes, dt: float) -> Film:
             chain = replace(plain, coefficients=np.frombuffer(coefficients).copy())
             out = _bounded(chain.run(np.frombuffer(current).copy(), dt=dt))
-            return corrected_film(chain, out, dt, corrections)
+            return corrected_film(chain, out, dt, corrections, from_rest=from_rest)
 
         return film
 
@@ -325,11 +326,13 @@ def basis_of(device: str) -> EnrichmentBasis:
     nominal = preset(device)
     heating, width = nominal.heating, nominal.width
     cold, hot = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
-    return EnrichmentBasis(
+    basis = EnrichmentBasis(
         typical_centre=(heating[0] - 0.5 * width[0], heating[1]),
         typical_half_width=(0.5 * width[0], 0.5 * width[1]),
         temperature_degc=(min(cold, nominal.ambient) - 5.0, hot + 10.0),
     )
+    # loops over a drive may be anywhere in its range
+    return basis if nominal.has_body else replace(basis, temperature_degc=(cold, hot)).over(cold, hot)
 
 
 def loop_ends(device: str) -> tuple[float, float]:

@@ -57,7 +57,7 @@ def coverage(nominal: Nominal, *, samples: float = 8.0) -> Coverage:
 
     Elsewhere, on the way from a cold rest for instance, the fitted loops are a guess, and a recording that differs there
     says nothing about the device. The rest itself says much: no current, no heat. Everything is covered where the
-    model file has no digest.
+    model file has no digest, and on a device without body, whose loops are fitted over all of its drive.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def coverage(nominal: Nominal, *, samples: float = 8.0) -> Coverage:
     samples : least number in a kelvin
     """
     digest = nominal.digest
-    if digest is None:
+    if digest is None or not preset(nominal.device).has_body:
         return Coverage(np.array([-np.inf, np.inf]), np.ones(1, dtype=bool))
     low = np.minimum(digest.temperature[1:], digest.temperature[:-1])
     high = np.maximum(digest.temperature[1:], digest.temperature[:-1])
@@ -128,6 +128,8 @@ ANOTHER_DAY = {
 deflection's zero as a share of its range, of the others as a share of the value. A room is held within 1 K, a thermal
 grease or a clamp set anew changes a time constant by some per cent but no dead time, an optical lever is aligned to some
 tenths of a micrometre, a meter keeps its gain within a per cent. Assumed: no statistics over days are published."""
+OF_A_RESPONSE = 0.05
+"""The same of zero and gain on a device without body, of which nothing is known: an amplifier, a load cell, a clamp."""
 
 
 def constants_of(nominal: Nominal) -> tuple[Constant, ...]:
@@ -249,6 +251,7 @@ def _drifting(nominal: Nominal) -> list[Constant]:
             if not getattr(model, section).present:
                 continue
             value = 0.0 if what == "zero" else 1.0
+            spread = spread if preset(nominal.device).has_body else OF_A_RESPONSE
             size = spread * nominal.span[TIP_DEFLECTION] if what == "zero" else spread
         found.append(Constant(name, unit, value, size, drifts=True, straight=0.1))
     return found

@@ -78,7 +78,12 @@ def film_alone(coefficients: Floats) -> Floats:
 
 
 def corrected_film(
-    simulation: Simulation, out: Floats, dt: float, corrections: Mapping[str, Correction]
+    simulation: Simulation,
+    out: Floats,
+    dt: float,
+    corrections: Mapping[str, Correction],
+    *,
+    from_rest: bool = True,
 ) -> Film:
     """Return the film behind `out` (n, 9) of `Simulation.run`, with corrections.
 
@@ -88,6 +93,7 @@ def corrected_film(
     out : as `Simulation.run` gave it
     dt : sample period [s]
     corrections : channel -> correction (of log10 R, and of the deflection [m])
+    from_rest : whether the loops remember the rest without drive; else they know nothing of what was before `out`
     """
     c = simulation.prepared(dt)
     rest = simulation.run(np.zeros(1), dt=dt)[0]
@@ -100,6 +106,8 @@ def corrected_film(
         if channel in corrections:
             values = corrections[channel](np.concatenate([rest[5:6], seen[:, place]]))
             at_rest[place] = values[0]
+            if not from_rest:
+                values[1:] = corrections[channel](seen[:, place])
             late_correction(c, np.zeros(state_size()), values)
             added[:, place] = values[1:]
     return Film(out, rest, added, at_rest)

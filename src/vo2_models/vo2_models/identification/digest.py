@@ -7,7 +7,7 @@ shape may move exactly as far as the calibration left it undetermined, and no fu
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,7 +18,7 @@ from vo2_models.parameters import Parameter, Value
 from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 from vo2_models.validation import finite_array
 
-__all__ = ["DIGEST_PARAMETERS", "LAGS", "CalibrationDigest", "digest_of"]
+__all__ = ["DIGEST_PARAMETERS", "LAGS", "CalibrationDigest", "digest_of", "digest_of_drive"]
 
 Floats = NDArray[np.float64]
 _PREFIX = "model.enrichment."
@@ -204,6 +204,11 @@ def digest_of(
         if edges.size - 1 <= most:
             break
         step_k, outside_step_k = 1.3 * step_k, 1.3 * outside_step_k
+    return _block_means(path, residuals, edges)
+
+
+def _block_means(path: Floats, residuals: Floats, edges: NDArray[np.intp]) -> CalibrationDigest:
+    """Mean residuals (n, 2) of a path (n,) between its samples `edges`."""
     valid = np.isfinite(residuals).all(axis=1)
     sums = np.column_stack([np.where(valid, column, 0.0) for column in residuals.T] + [valid])
     # trapezoids: an end counts half for either block, else the mean would lag half a sample behind the path
@@ -211,6 +216,65 @@ def digest_of(
     count = totals[:, 2]
     mean = totals[:, :2] / np.maximum(count, 1.0)[:, None]
     return CalibrationDigest(path[edges], count, mean[:, 0], mean[:, 1])
+
+
+def digest_of_drive(
+    path: ArrayLike,
+    log_resistance: ArrayLike,
+    deflection: ArrayLike,
+    *,
+    starts: Collection[int],
+    most: int = 3000,
+) -> CalibrationDigest:
+    """Shorten residuals along the drive of a device without body to block means, one recording behind the other.
+
+    Parameters
+    ----------
+    path : (n,) loop coordinate [degC]; each recording is preceded by a sample from which nothing is remembered
+    log_resistance, deflection : (n,) residuals, measured minus nominal; NaN where a sample is missing
+    starts : of those samples
+    most : largest number of blocks, but for two at each start; turns that are smaller than a block are passed over
+
+    Returns
+    -------
+    CalibrationDigest : block means over the path
+    """
+    values = finite_array(path, "path")
+    moves = np.abs(np.diff(values))
+    first = np.array(sorted(starts), dtype=np.intp)
+    moves[first] = 0.0
+    moves[first[first > 0] - 1] = 0.0
+    step = max(float(np.sum(moves)) / most, 1e-9)
+    while (edges := _edges_of_drive(values, frozenset(first.tolist()), step)).size > most + 2 * first.size:
+        step *= 1.3
+    residuals = np.column_stack([log_resistance, deflection])
+    # the way to and from a start is no part of a recording
+    apart = np.concatenate([first, first + 1, first[first > 0] - 1])
+    residuals[apart] = np.nan
+    return _block_means(values, residuals, edges)
+
+
+def _edges_of_drive(path: Floats, starts: frozenset[int], step: float) -> NDArray[np.intp]:
+    """Samples at which blocks end: every turning point of more than `step`, and every `step` of travel between them."""
+    edges, turn, way = [0], 0, 0.0
+    for k in range(1, path.size):
+        if k in starts or k - 1 in starts:
+            edges += [j for j in (k - 1, k) if j > edges[-1]]
+            turn, way = k, 0.0
+            continue
+        move = path[k] - path[turn]
+        if move * way >= 0.0:
+            turn, back = k, False
+        else:
+            back = abs(move) >= step
+        if back and turn > edges[-1]:
+            edges.append(turn)
+        if abs(path[k] - path[edges[-1]]) >= step and (back or turn == k):
+            edges.append(k)
+            turn, way = k, 1.0 if path[k] > path[edges[-2]] else -1.0
+    if edges[-1] != path.size - 1:
+        edges.append(path.size - 1)
+    return np.array(edges)
 
 
 def _block_edges(

@@ -162,6 +162,7 @@ class EnrichmentBasis:
     half_width_k : largest r of the density [K]
     temperature_degc : (lowest, highest) of the memoryless part [degC]
     centre_step_k, half_width_step_k, temperature_step_k : knot spacing [K]
+    coarse_step_k : knot spacing of contrast and mixing law in c and r [K]
     density_share, contrast_share, mixing_share, memoryless_share : prior standard deviations of the weights,
         as shares of the channel's range; the densities per unit B-spline (2/3 per K^2 at its knot)
     domains : number of domains whose scatter the cells stand for
@@ -179,6 +180,7 @@ class EnrichmentBasis:
     centre_step_k: float = 1.5
     half_width_step_k: float = 1.0
     temperature_step_k: float = 4.0
+    coarse_step_k: tuple[float, float] = (4.0, 2.0)
     density_share: float = 0.02
     contrast_share: float = 0.005
     mixing_share: float = 0.01
@@ -195,6 +197,27 @@ class EnrichmentBasis:
         for name in ("half_width_k", "centre_step_k", "half_width_step_k", "temperature_step_k", "grid_k"):
             positive_number(getattr(self, name), name)
 
+    def over(self, low: float, high: float) -> EnrichmentBasis:
+        """Return the same basis stretched over another range of centres, low to high [degC], with as many functions.
+
+        The prior stays: a density per K^2 is the smaller the more K^2 there are.
+        """
+        by = (high - low) / (self.centre_degc[1] - self.centre_degc[0])
+        return replace(
+            self,
+            centre_degc=(low, high),
+            half_width_k=by * self.half_width_k,
+            centre_step_k=by * self.centre_step_k,
+            half_width_step_k=by * self.half_width_step_k,
+            temperature_step_k=by * self.temperature_step_k,
+            coarse_step_k=(by * self.coarse_step_k[0], by * self.coarse_step_k[1]),
+            density_share=self.density_share / by**2,
+            contrast_share=self.contrast_share / by**2,
+            mixing_share=self.mixing_share / by**2,
+            cell_k=by * self.cell_k,
+            grid_k=by * self.grid_k,
+        )
+
     def _knots(self) -> tuple[Floats, Floats]:
         low, high = self.centre_degc
         return (
@@ -204,7 +227,11 @@ class EnrichmentBasis:
 
     def _coarse_knots(self) -> tuple[Floats, Floats]:
         low, high = self.centre_degc
-        return np.arange(low, high + 2.0, 4.0), np.arange(0.5, self.half_width_k, 2.0)
+        centre, half_width = self.coarse_step_k
+        return (
+            np.arange(low, high + 0.5 * centre, centre),
+            np.arange(0.25 * half_width, self.half_width_k, half_width),
+        )
 
     @property
     def columns(self) -> int:

@@ -19,7 +19,7 @@ from vo2_models.identification.calibration_check import check_calibration, judge
 from vo2_models.identification.command_delay import command_delay
 from vo2_models.identification.completion import completed
 from vo2_models.identification.device_fit import PLAYS, FitResult, fit_device
-from vo2_models.identification.digest import LAGS, digest_of
+from vo2_models.identification.digest import LAGS, digest_of, digest_of_drive
 from vo2_models.identification.enrichment import LOCAL, EnrichmentBasis
 from vo2_models.identification.grid import on_grid
 from vo2_models.identification.loop_law import PLAYS as PLAYS_LAW
@@ -110,6 +110,8 @@ def fit_model(
                 # the schemes have laws of their own, which start from plays
                 parameters |= characterise(max(both, key=len), of_plays)
             parameters |= _digest(result, recordings[0], both[0] is recordings[0])
+        if not description.has_body:
+            parameters |= _rig_digest(result, recordings[0])
         return result, parameters
 
 
@@ -179,12 +181,7 @@ def _digest(result: FitResult, recording: Recording, first: bool) -> dict[str, V
     return replace(
         short,
         current_reading=reading,
-        steps={
-            channel: step
-            for channel in (RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
-            if channel in recording
-            and (step := value_step(recording[channel][np.isfinite(recording[channel])]))
-        },
+        steps=_steps(recording),
         noise_current=noise,
         noise_log_resistance=_noise(path, gap, result, RESISTANCE),
         noise_deflection=_noise(path, tip, result, TIP_DEFLECTION),
@@ -195,6 +192,28 @@ def _digest(result: FitResult, recording: Recording, first: bool) -> dict[str, V
             for means in [digest_of(path, *columns, inside_degc=inside)]
         },
     ).to_parameters()
+
+
+def _rig_digest(result: FitResult, recording: Recording) -> dict[str, Value]:
+    """What the loops of a device without body left over along all recordings; nothing where the drive heats it.
+
+    Its noise stands with the sensors: it is what the law leaves.
+    """
+    if not result.settled:
+        return {}
+    path, none = result.path, np.zeros(result.path.size)
+    gap, tip = (result.residuals.get(role, none) for role in (RESISTANCE, TIP_DEFLECTION))
+    starts = [0, *result.ends[:-1]]
+    return replace(digest_of_drive(path, -gap, tip, starts=starts), steps=_steps(recording)).to_parameters()
+
+
+def _steps(recording: Recording) -> dict[str, float]:
+    """Distance of neighbouring values of each channel of a recording, where all of them lie on a comb."""
+    return {
+        channel: step
+        for channel in (RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
+        if channel in recording and (step := value_step(recording[channel][np.isfinite(recording[channel])]))
+    }
 
 
 def _by_lag(model: DeviceModel, recording: Recording) -> dict[str, tuple[Floats, Floats]]:

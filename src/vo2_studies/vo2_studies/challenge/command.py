@@ -20,6 +20,7 @@ from vo2_studies.challenge.conditions import CONDITIONS
 from vo2_studies.challenge.excitation import EXCITATIONS
 from vo2_studies.challenge.families import ALL, FAMILIES
 from vo2_studies.challenge.plan import (
+    BODYLESS,
     CLEAN,
     INFORMATIVE,
     KINDS,
@@ -30,6 +31,7 @@ from vo2_studies.challenge.plan import (
     CasePlan,
     Choice,
 )
+from vo2_studies.challenge.recordings.bodyless import BodylessSettings
 from vo2_studies.challenge.recordings.draw import MeasuredSettings
 from vo2_studies.challenge.runner import (
     CaseRunner,
@@ -93,7 +95,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--rigs",
         default=PRESET,
-        help=f"{PRESET}, or {RANGE}: currents, times and ranges over factors of 3 about it, told by a device file",
+        help=f"{PRESET}; {RANGE}: currents, times and ranges over factors of 3 about it, told by a device file; "
+        f"{BODYLESS}: a drive, one law of hysteresis, a lag, one response, and no heated body",
     )
     parser.add_argument(
         "--timeout", type=float, default=300.0, help="seconds for each fit and each diagnosis"
@@ -180,7 +183,11 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
             )
         if not 0 <= arguments.misfit <= 0.3:
             raise ValueError(f"misfit: found {arguments.misfit}, need 0 to 0.3")
-        settings: Settings | MeasuredSettings = Settings(arguments.seed, arguments.misfit, _choice(arguments))
+        settings: Settings | MeasuredSettings | BodylessSettings
+        if arguments.rigs == BODYLESS:
+            settings = BodylessSettings(arguments.seed, arguments.family, _words(arguments.kinds))
+        else:
+            settings = Settings(arguments.seed, arguments.misfit, _choice(arguments))
         if arguments.recordings is not None:
             settings = MeasuredSettings(
                 arguments.seed, str(arguments.recordings.resolve()), _words(arguments.sets)
@@ -215,7 +222,7 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
     return 0 if done else 130
 
 
-def _claim(paths: Paths, settings: Settings | MeasuredSettings) -> None:
+def _claim(paths: Paths, settings: Settings | MeasuredSettings | BodylessSettings) -> None:
     """Record the settings in the output folder, or check that they are those it was begun with."""
     wanted = json.loads(json.dumps(asdict(settings)))
     file = paths.root / "settings.json"
@@ -239,7 +246,9 @@ def _flat(settings: dict) -> dict:
     return {key: value for key, value in settings.items() if key != "choice"} | settings.get("choice", {})
 
 
-def _write_bags(plans: Sequence[CasePlan], paths: Paths, settings: Settings | MeasuredSettings) -> int:
+def _write_bags(
+    plans: Sequence[CasePlan], paths: Paths, settings: Settings | MeasuredSettings | BodylessSettings
+) -> int:
     for plan in plans:
         if paths.answer(plan.index).exists() and (paths.case(plan.index) / "test" / "metadata.yaml").exists():
             continue

@@ -36,7 +36,7 @@ CONFUSABLE = (
 )
 """A case of two effects takes at most one of each group: two converters on one channel are no separate effects."""
 VARIED = "all"
-CLEAN, INFORMATIVE, PRESET, RANGE = "clean", "informative", "preset", "range"
+CLEAN, INFORMATIVE, PRESET, RANGE, BODYLESS = "clean", "informative", "preset", "range", "bodyless"
 
 
 @dataclass(frozen=True)

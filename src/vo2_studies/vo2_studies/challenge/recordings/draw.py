@@ -15,7 +15,7 @@ from vo2_studies.challenge.plan import CasePlan
 from vo2_studies.challenge.recordings.changes import CHANGES, Change, changed
 from vo2_studies.challenge.recordings.sets import Array, MeasuredSet, judged, load_sets
 
-__all__ = ["MeasuredSettings"]
+__all__ = ["MeasuredSettings", "conceal"]
 
 RATIOS = (1.0, 100.0)
 """Size of a change over the repeats' distance."""
@@ -64,7 +64,7 @@ class MeasuredSettings:
         test, entries = measured.others[plan.condition], []
         if plan.effects:
             (change,) = (one for one in CHANGES if one.id == plan.effects[0])
-            test, entry = _conceal(measured, test, change, log_uniform(rng, *RATIOS))
+            test, entry = conceal(measured, test, change, log_uniform(rng, *RATIOS))
             entries.append(entry)
         answer = {
             "index": plan.index,
@@ -89,7 +89,7 @@ class MeasuredSettings:
         )
 
 
-def _conceal(measured: MeasuredSet, test: Recording, change: Change, ratio: float) -> tuple[Recording, dict]:
+def conceal(measured: MeasuredSet, test: Recording, change: Change, ratio: float) -> tuple[Recording, dict]:
     """Return the recording with the change and what the answer says of it."""
     channel = measured.drive if change.before else measured.response
     values = test[channel]
