@@ -207,6 +207,13 @@ class Nominal:
 
         return film
 
+    def _finer(self, current: Floats, steps: int) -> Floats:
+        """A drive (n,) in `steps` steps a sample: a current is held, what drives a device without body moves on in between."""
+        if self.model.heats:
+            return np.repeat(current, steps)
+        ends = np.arange(1, current.size + 1)
+        return np.interp(np.arange(1, current.size * steps + 1) / steps, ends, current)
+
     def respond(
         self,
         current: Floats,
@@ -240,10 +247,14 @@ class Nominal:
         lead = 0
         if settled:
             lead = int(np.ceil(10 * (longest_lag(c) + c[Coefficient.DEAD_TIME]) / dt))
+            if not self.model.heats:  # no lag of a body that is longer than what effects add
+                lead = min(lead + int(np.ceil(10 * _longest(effects or {}) / dt)), current.size)
             current = np.concatenate([np.full(lead, current[0]), current])
-        steps = FINE if fine and _between_samples(chain, dt) else 1
+        # a drive that moves on between samples is late by any share of one
+        late = not self.model.heats and "dead_time" in (effects or {})
+        steps = FINE if fine and (late or _between_samples(chain, dt)) else 1
         if steps > 1:
-            current, dt = np.repeat(current, steps), dt / steps
+            current, dt = self._finer(current, steps), dt / steps
         # a candidate may drive the simulation out of anything physical: it must only look very wrong
         if self.corrections:
             alone = film_alone(chain.coefficients)
@@ -286,6 +297,16 @@ def rounded_with_noise(values: Floats, step: float, noise: Floats) -> Floats:
         damping = np.exp(-2.0 * (np.pi * m * share) ** 2)
         out += step / np.pi * (-1.0) ** m / m * damping * np.sin(m * phase)
     return out
+
+
+def _longest(given: Mapping[str, Mapping[str, float | str]]) -> float:
+    """The times of effects together [s]: delays, lags, windows."""
+    return sum(
+        float(values[p.name])
+        for key, values in given.items()
+        for p in effects()[key.partition(":")[0]].parameters
+        if p.unit == "s" and p.name in values
+    )
 
 
 def _without_rounding(chain: Simulation) -> tuple[Simulation, dict[str, float]]:

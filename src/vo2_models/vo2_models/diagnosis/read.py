@@ -209,7 +209,12 @@ def _shifted(current: Floats, delay: float) -> Floats:
 
 
 def _detect_initial_state(part: Part, nominal: Nominal) -> tuple[Part, Response]:
-    """Take a recording as begun at its first current where that fits its first samples far better than a cold start."""
+    """Take a recording as begun at its first current where that fits its first samples far better than a cold start.
+
+    A drive that heats nothing was somewhere before: where it is first, for all that is known.
+    """
+    if not nominal.model.heats:
+        return replace(part, settled=True), nominal.respond(part.current, part.dt, settled=True)
     tau = nominal.model.scalars["thermal.time_constant"]
     first = int(np.clip(np.ceil(5 * tau / part.dt), 3, part.size // 10))
     cold, warm = (nominal.respond(part.current, part.dt, settled=settled) for settled in (False, True))

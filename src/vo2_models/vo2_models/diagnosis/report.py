@@ -418,8 +418,8 @@ def _shown_in_words(study: Study, shown: Sequence[NamedEffect]) -> str:
         size = study.located.nominal.span[evident.signal]
         words += (
             f"The values of {study.located.nominal.model.description.names.get(evident.signal, evident.signal)} show "
-            f"{effect.id} by themselves ({told}; {100 * evident.share:.3g} % of the samples): left out, and with it the error "
-            f"there falls from {100 * evident.before / size:.3g} to {100 * evident.after / size:.3g} % of the range. "
+            f"{effect.id} by themselves ({told}; {100 * evident.share:.3g} % of the samples): left out; without it the error "
+            f"there is {100 * evident.before / size:.3g} % of the range, with it {100 * evident.after / size:.3g} %. "
         )
     return words + ("Beside it: " if words else "")
 
