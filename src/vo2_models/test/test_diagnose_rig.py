@@ -19,7 +19,7 @@ from vo2_models.diagnosis.pipeline import study
 from vo2_models.diagnosis.report import assemble_diagnosis
 from vo2_models.hysteresis.preisach import PreisachOperator
 from vo2_models.identification.model_fit import fit_model
-from vo2_models.recording import HEATER_CURRENT, TIP_DEFLECTION, Recording
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 DEVICE = described(
     {
@@ -190,6 +190,27 @@ def test_a_gain_or_a_zero_that_has_moved_is_told_as_that(model, change, constant
     assert abs(drift.move[farthest] - moved) < 3.0 * drift.std[farthest] and drift.sigmas[farthest] > 10.0
     # the constants moved, the recording is as near to the law as the calibration's held-out parts
     assert found.located.own_misfit[TIP_DEFLECTION] < found.limits.own_misfit
+
+
+def test_a_gain_of_a_resistance_is_told_as_that_and_not_as_its_logarithm():
+    ohms = described(
+        {**json.loads(DEVICE.document), "id": "film", "responses": {"ohms": {"unit": "ohm"}}}, "film"
+    )
+
+    def of(recording: Recording, gain: float = 1.0) -> Recording:
+        decades = recording[TIP_DEFLECTION] / np.ptp(LAW(np.linspace(0.0, 10.0, 50)))
+        return Recording(
+            recording.time_s,
+            {HEATER_CURRENT: recording[HEATER_CURRENT], RESISTANCE: gain * 10 ** (3 + decades)},
+            "film",
+        )
+
+    fitted = fit_model([of(recorded(1))], ohms.key)[1]
+    found = study([of(recorded(2), 1.4)], fitted)
+    drift = found.decision.drift
+    (place,) = (k for k, c in enumerate(drift.constants) if c.name == "resistance.gain")
+    assert found.decision.verdict == "drifted"
+    assert abs(drift.move[place] - 0.4) < min(3.0 * drift.std[place], 0.03)
 
 
 def test_a_move_is_as_uncertain_as_the_law_misses_more_than_on_its_calibration(unchanged):

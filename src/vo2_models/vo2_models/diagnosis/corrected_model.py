@@ -118,8 +118,10 @@ def corrected_parameters(study: Study, unnamed: StandIn | None = None) -> dict[s
         effects={**model.effects, **(chosen.effects if chosen else {}), **shown},
         scalars={**model.scalars, **{name: values[name] for name in THERMAL if name in values}},
         deflection=_scaled(laws["deflection"], gain, zero),
-        # the law is that of -log10 R
-        resistance=_scaled(laws["resistance"], 1.0, -float(np.log10(values.get("resistance.gain", 1.0)))),
+        # the law is that of -log10 R, the constant 1 + ln gain
+        resistance=_scaled(
+            laws["resistance"], 1.0, (1.0 - values.get("resistance.gain", 1.0)) / np.log(10.0)
+        ),
     )
     return flat | model.to_parameters()
 

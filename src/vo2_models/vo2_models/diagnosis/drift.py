@@ -78,10 +78,13 @@ def drift_of(problem: LinearisedProblem, residual: Floats) -> Drift:
     spread = np.array([c.spread for c in constants])
     z = weights[first:][places]
     scaled = covariance * np.outer(wider, wider)
+    move, std = spread * z, spread * np.sqrt(np.diag(scaled))
+    # of a gain of the resistance the logarithm was fitted
+    logarithm = np.where([c.name == "resistance.gain" for c in constants], np.clip(move, -50.0, 50.0), 0.0)
     return Drift(
         constants,
-        spread * z,
-        spread * np.sqrt(np.diag(scaled)),
+        np.where(logarithm, np.expm1(logarithm), move),
+        np.exp(logarithm) * std,
         float(z @ np.linalg.pinv(scaled, hermitian=True) @ z),
         weights[first:],
     )

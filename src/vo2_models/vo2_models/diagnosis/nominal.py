@@ -231,7 +231,8 @@ class Nominal:
         current : (n,) what drives the device [A]
         dt : sample period [s]
         effects : what is added
-        constants : values that replace those of the model, by name as in `nuisance.constants_of`
+        constants : values that replace those of the model, by name as in `nuisance.constants_of`; of a gain of the resistance,
+            which is judged by its logarithm, 1 + ln gain
         settled : whether the device had come to rest at the first current before, instead of at no current
         fine : take several steps a sample where it counts what happens in between
         """
@@ -273,7 +274,9 @@ class Nominal:
             if channel == TIP_DEFLECTION:
                 values = given.get("deflection.gain", 1.0) * values + given.get("deflection.zero", 0.0)
             if channel == RESISTANCE:
-                values = np.log10(np.maximum(given.get("resistance.gain", 1.0) * values, 1e-3))
+                values = np.log10(np.maximum(values, 1e-3)) + (
+                    given.get("resistance.gain", 1.0) - 1.0
+                ) / np.log(10)
             found[channel] = values
         return Response({k: v[lead:] for k, v in found.items()}, temperature[lead:])
 
