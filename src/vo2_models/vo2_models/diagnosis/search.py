@@ -226,6 +226,8 @@ def _options(
         if cost(again.chosen, problem, limits) < cost(alone.chosen, problem, limits):
             alone = again
     alone = _in_one_switch(located, alone, limits, clock)
+    if located.own_misfit:  # beside a misfit that is no noise a second effect is never named
+        return [alone]
     clock.say("looking for a second effect")
     pair = pair_of(located.nominal, problem, alone, candidates, limits, tick=clock.tick)
     if pair is None and first.cornered:
