@@ -141,6 +141,8 @@ def test_effects_that_explain_as_much_are_told_as_a_set_without_a_name(model):
     assert f"one of {', '.join(effect.siblings)}" in answer.summary
     assert {pair[1] for pair in answer.indistinguishable} < set(effect.siblings)
     assert effect.probability > 0.5
+    # beside the law's misfit a second effect is never named, and none is looked for
+    assert [len(option.chosen.keys) for option in found.search.options] == [1]
 
 
 def _shape(group: str) -> Shape:

@@ -5,11 +5,13 @@ import functools
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from vo2_studies.bench import Entry, Figure, runner
 from vo2_studies.bench.runner import entries, main, select, table
+from vo2_studies.bench.size import PACKAGES, library_lines
 from vo2_studies.bench.timing import aligned, alternate, compiled_c, pointer
 
 OURS = {"pi30_batch", "gpi30_batch", "egpi6_stream", "composite6_stream", "egpi6_inverse", "import"}
@@ -109,3 +111,14 @@ def test_importing_the_package_loads_no_compiler():
         "sys.exit(any(name in sys.modules for name in ('numba', 'scipy')))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_lines_are_those_of_the_libraries_and_nodes_without_the_studies():
+    figure = library_lines()
+    here = Path(__file__).resolve().parents[2]
+    wanted = {
+        package: sum(len(file.read_text().splitlines()) for file in (here / package / package).rglob("*.py"))
+        for package in PACKAGES
+    }
+    assert figure.value == sum(wanted.values()) and "vo2_studies" not in figure.note
+    assert all(f"{package} {count}" in figure.note for package, count in wanted.items())

@@ -15,7 +15,7 @@ class Figure:
     Attributes
     ----------
     value : the figure in `unit`
-    unit : ns (per sample), us (per sample), s, samples/s, bytes, or arrays
+    unit : ns (per sample), us (per sample), s, samples/s, bytes, arrays, or lines
     yardstick : the same figure of the yardstick in the same run; None where there is none
     note : one remark for the table, such as what the yardstick is
     """
