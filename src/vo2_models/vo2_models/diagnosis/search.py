@@ -81,6 +81,10 @@ def search(
     clock.say(f"trying {len(candidates)} effects")
     shortlist = 2 * SHORTLIST if one_loop else SHORTLIST
     scores = score(problem, candidates, problem.residual, tick=clock.tick)
+    if located.within_misfit(
+        limits
+    ):  # with constants moved; what is left is the law's, and a lag or a delay makes up for it
+        return Search(tuple(candidates), tuple(scores), (), (), hidden, tuple(_not_excited(scores, limits)))
     clock.say("refitting the most promising")
     fits = _refitted(problem, scores, limits, shortlist, clock)
     if hidden and not first_use:
