@@ -37,7 +37,14 @@ class Drift:
     weights: Floats
 
     def widened(self, by: float) -> Drift:
-        """Return the same with standard deviations `by` times as large: Birge's ratio, where more than noise is left."""
+        """Return the same with standard deviations `by` times as large, where more than noise is left.
+
+        Birge's ratio: Phys. Rev. 40, 207, 1932.
+
+        Parameters
+        ----------
+        by : r.m.s. of what is left over that of the noise, 1 or more
+        """
         return replace(self, std=by * self.std, chi_square=self.chi_square / by**2)
 
     def significant(self, probability: float) -> bool:

@@ -231,13 +231,17 @@ def digest_of_drive(
     Parameters
     ----------
     path : (n,) loop coordinate [degC]; each recording is preceded by a sample from which nothing is remembered
-    log_resistance, deflection : (n,) residuals, measured minus nominal; NaN where a sample is missing
-    starts : of those samples
+    log_resistance, deflection : (n,) residuals, measured minus nominal [log10 ohm, m]; NaN where a sample is missing
+    starts : places of the samples that precede a recording
     most : largest number of blocks, but for two at each start; turns that are smaller than a block are passed over
 
     Returns
     -------
     CalibrationDigest : block means over the path
+
+    Raises
+    ------
+    ValueError : a path that is not finite.
     """
     values = finite_array(path, "path")
     moves = np.abs(np.diff(values))

@@ -201,6 +201,10 @@ class EnrichmentBasis:
         """Return the same basis stretched over another range of centres, low to high [degC], with as many functions.
 
         The prior stays: a density per K^2 is the smaller the more K^2 there are.
+
+        Parameters
+        ----------
+        low, high : ends of that range [degC], low < high
         """
         by = (high - low) / (self.centre_degc[1] - self.centre_degc[0])
         return replace(

@@ -20,7 +20,7 @@ from vo2_studies.challenge.families.law import trace
 from vo2_studies.challenge.filters import lag
 from vo2_studies.challenge.plan import CasePlan
 from vo2_studies.challenge.recordings.changes import CHANGES
-from vo2_studies.challenge.recordings.draw import conceal
+from vo2_studies.challenge.recordings.draw import answer_of, conceal
 from vo2_studies.challenge.recordings.sets import MeasuredSet
 
 __all__ = ["BodylessSettings"]
@@ -28,8 +28,9 @@ __all__ = ["BodylessSettings"]
 KINDS = ("none", "moved", "one")
 SAMPLES = 1500
 SPREAD = 0.005
-"""Share of the range that counts as one spread of repeats: what remounting moves on the measured seals."""
+"""Share of the range that counts as one spread of repeats. Assumed: such a device is not repeated here."""
 RATIOS = (4.0, 40.0)
+"""Size of a change over that: 2 to 20 % of the range, r.m.s."""
 GAIN, ZERO = (0.03, 0.2), (0.02, 0.1)
 """Smallest and largest move of a gain, and of a zero as a share of the range."""
 DRIVES = {"V": 10.0, "T": 1.0, "m": 1e-3, "A": 2.0, "N": 50.0}
@@ -91,18 +92,7 @@ class BodylessSettings:
             entries.append(entry)
         elif plan.kind == "moved":
             test, moved = _moved(rng, drawn, test)
-        answer = {
-            "index": plan.index,
-            "kind": plan.kind,
-            "device": plan.device,
-            "family": plan.family,
-            "condition": plan.condition,
-            "excitation": plan.excitation,
-            "repeat_spread": drawn.spread,
-            "moved": moved,
-            "effects": entries,
-            "counted": all(entry["ratio"] > RATIOS[0] for entry in entries),
-        }
+        answer = answer_of(plan, drawn, entries, moved, counted_ratio=RATIOS[0])
         return Case(
             plan, None, Recorded(drawn.calibration, None), Recorded(test, None), answer, drawn.document
         )

@@ -15,7 +15,7 @@ from vo2_studies.challenge.plan import CasePlan
 from vo2_studies.challenge.recordings.changes import CHANGES, Change, changed
 from vo2_studies.challenge.recordings.sets import Array, MeasuredSet, judged, load_sets
 
-__all__ = ["MeasuredSettings", "conceal"]
+__all__ = ["MeasuredSettings", "answer_of", "conceal"]
 
 RATIOS = (1.0, 100.0)
 """Size of a change over the repeats' distance."""
@@ -66,18 +66,7 @@ class MeasuredSettings:
             (change,) = (one for one in CHANGES if one.id == plan.effects[0])
             test, entry = conceal(measured, test, change, log_uniform(rng, *RATIOS))
             entries.append(entry)
-        answer = {
-            "index": plan.index,
-            "kind": plan.kind,
-            "device": plan.device,
-            "family": plan.family,
-            "condition": plan.condition,
-            "excitation": plan.excitation,
-            "repeat_spread": measured.spread,
-            "moved": [],
-            "effects": entries,
-            "counted": all(entry["ratio"] > COUNTED_RATIO for entry in entries),
-        }
+        answer = answer_of(plan, measured, entries, [], counted_ratio=COUNTED_RATIO)
         return Case(
             plan,
             None,
@@ -89,8 +78,41 @@ class MeasuredSettings:
         )
 
 
+def answer_of(
+    plan: CasePlan, measured: MeasuredSet, effects: list[dict], moved: list[dict], *, counted_ratio: float
+) -> dict:
+    """Return the answer of a case: what was concealed, and whether it is scored with the others.
+
+    Parameters
+    ----------
+    plan, measured : the case and its device
+    effects, moved : entries of the changes and of the constants that have moved
+    counted_ratio : a change of up to so many spreads of repeats is scored apart
+    """
+    return {
+        "index": plan.index,
+        "kind": plan.kind,
+        "device": plan.device,
+        "family": plan.family,
+        "condition": plan.condition,
+        "excitation": plan.excitation,
+        "repeat_spread": measured.spread,
+        "moved": moved,
+        "effects": effects,
+        "counted": all(entry["ratio"] > counted_ratio for entry in effects),
+    }
+
+
 def conceal(measured: MeasuredSet, test: Recording, change: Change, ratio: float) -> tuple[Recording, dict]:
-    """Return the recording with the change and what the answer says of it."""
+    """Return the recording with the change, and what the answer says of it.
+
+    Parameters
+    ----------
+    measured : the device
+    test : recording of it
+    change : what is done to its response or its drive
+    ratio : wanted size, r.m.s., over the device's `spread`
+    """
     channel = measured.drive if change.before else measured.response
     values = test[channel]
     before = values if change.before else judged(values, measured.unit)
