@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import sys
 import time
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from vo2_control.closed_loop import run_loop
 from vo2_control.designs import current_limits
 from vo2_control.model_tuning import tuned_from_model
@@ -18,25 +20,61 @@ from vo2_models.diagnosis.loop_shape import loop_shapes
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.identification.excitation import damped_oscillation
 from vo2_models.identification.model_fit import fit_model
-from vo2_models.recording import RESISTANCE
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 from vo2_models.self_sensing import KINDS, self_sensing
+from vo2_models.self_sensing.characterisation import characterise
+
+from vo2_studies.published_models import chapter_7_tables
 
 __all__ = ["main"]
+
+_DEVICE = "integrated"
+
+
+def _current() -> NDArray[np.float64]:
+    share = damped_oscillation(np.linspace(0.0, 1.0, 13))
+    return np.repeat(3.68e-3 + 4.81e-3 * share, 10)
+
+
+def _made_up() -> Recording:
+    """Return a recording of two logistic branches, which needs no compiled simulation."""
+    current = _current()
+    center = np.where(np.gradient(current) >= 0.0, 65.0, 59.0)
+    warm = 1.0 / (1.0 + np.exp(-(22.0 + 1.0e6 * current**2 - center) / 2.0))
+    noise = np.random.default_rng(1).normal(size=(2, current.size))
+    channels = {
+        HEATER_CURRENT: current,
+        RESISTANCE: 10.0 ** (5.3 - 1.2 * warm + 2e-3 * noise[0]),
+        TIP_DEFLECTION: 5e-5 * warm + 1e-6 + 5e-8 * noise[1],
+    }
+    return Recording(np.arange(current.size) * preset(_DEVICE).sample_period, channels, _DEVICE)
+
+
+def _estimation() -> None:
+    """Identify and use every scheme of self-sensing."""
+    recording, known = _made_up(), chapter_7_tables().parameters
+    model = {**known, **characterise(recording, known)}
+    for kind in KINDS:
+        self_sensing(kind, model).estimate(recording[RESISTANCE][:10])
 
 
 def main() -> int:
     """Run an identification, a few estimates and a corrected simulation on the smallest sensible recordings."""
     started = time.monotonic()
-    share = damped_oscillation(np.linspace(0.0, 1.0, 13))
-    current = np.repeat(3.68e-3 + 4.81e-3 * share, 10)
-    device = truth("integrated", seed=1)
+    # a process of its own compiles self-sensing beside the simulation; what it has compiled is loaded below
+    beside = multiprocessing.get_context("spawn").Process(target=_estimation, daemon=True)
+    beside.start()
+    current, period = _current(), preset(_DEVICE).sample_period
+    device = truth(_DEVICE, seed=1)
     stepper = device.stepper(seed=1)
     stepper.step(0.0)
     recording = device.simulate(current, seed=1)
-    _, model = fit_model([recording], "integrated", plays=6)
+    fit_model([recording], _DEVICE, plays=6, self_sensing=False)
+    beside.join()
+    _, model = fit_model([recording], _DEVICE, plays=6)
     for kind in KINDS:
         self_sensing(kind, model).estimate(recording[RESISTANCE][:10])
-    period, limits = preset("integrated").sample_period, current_limits("integrated", model)
+    limits = current_limits(_DEVICE, model)
     law = pid_controller(tuned_from_model(model, period, limits=limits).gains, limits, period)
     for kind in ("composite", "polynomial"):
         run_loop(device, self_sensing(kind, model), law, np.full(10, 30e-6))
