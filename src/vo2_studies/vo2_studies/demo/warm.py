@@ -47,7 +47,9 @@ def _made_up() -> Recording:
         RESISTANCE: 10.0 ** (5.3 - 1.2 * warm + 2e-3 * noise[0]),
         TIP_DEFLECTION: 5e-5 * warm + 1e-6 + 5e-8 * noise[1],
     }
-    return Recording(np.arange(current.size) * preset(_DEVICE).sample_period, channels, _DEVICE)
+    return Recording(
+        preset(_DEVICE).sample_period * np.arange(current.size, dtype=np.float64), channels, _DEVICE
+    )
 
 
 def _estimation() -> None:
