@@ -64,7 +64,7 @@ def main() -> int:
     """Run an identification, a few estimates and a corrected simulation on the smallest sensible recordings."""
     started = time.monotonic()
     # a process of its own compiles self-sensing beside the simulation; what it has compiled is loaded below
-    beside = multiprocessing.get_context("spawn").Process(target=_estimation, daemon=True)
+    beside = multiprocessing.get_context("fork").Process(target=_estimation, daemon=True)
     beside.start()
     current, period = _current(), preset(_DEVICE).sample_period
     device = truth(_DEVICE, seed=1)
