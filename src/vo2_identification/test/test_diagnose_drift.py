@@ -82,6 +82,7 @@ def test_an_effect_beside_a_drift_is_named_and_the_drift_told(parameters) -> Non
     assert answer.moved[0].now - answer.moved[0].was == pytest.approx(0.5, abs=0.08)
 
 
+@pytest.mark.slow
 def test_what_has_no_name_has_a_family(parameters) -> None:
     plain = concealed()
     hum = 0.02 * np.sin(2 * np.pi * 18.0 * plain.time_s)

@@ -43,6 +43,7 @@ def test_an_unchanged_device_agrees(parameters) -> None:
 
 
 @pytest.mark.parametrize("device_seed", [9001, pytest.param(9005, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_calibration_at_one_rate_raises_no_alarm_at_another(device_seed) -> None:
     found = calibrated(device_seed)
     seen = study([concealed(device_seed=device_seed)], found)
@@ -166,6 +167,7 @@ def test_the_energy_of_every_axis_adds_up_to_the_channels_excess(creeping) -> No
             assert np.sum(channel.axes[axis][1]) == pytest.approx(channel.excess, rel=1e-6, abs=1e-6), axis
 
 
+@pytest.mark.slow
 def test_a_change_of_the_terminals_is_told_from_the_film(parameters) -> None:
     answer = diagnose([concealed({"series_resistance": {"resistance": 900.0}})], parameters)
     assert answer.effects[0].id == "series_resistance"
@@ -332,6 +334,7 @@ def test_a_coarser_converter_is_named_with_little_to_gain(parameters) -> None:
 
 
 @pytest.mark.parametrize("straight", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.slow
 def test_a_gain_that_drifts_may_settle(parameters, straight) -> None:
     plain = concealed()
     past = plain.time_s / plain.time_s[-1]
@@ -345,6 +348,7 @@ def test_a_gain_that_drifts_may_settle(parameters, straight) -> None:
 
 
 @pytest.mark.parametrize("phase", [0.0, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_the_recording_tells_which_transition_takes_up_the_heat(parameters, phase) -> None:
     """Loops of the fitted family here: of another mixing law, the metallic fraction is not known that well."""
     current = concealed()[HEATER_CURRENT]
@@ -364,6 +368,7 @@ def test_the_recording_tells_which_transition_takes_up_the_heat(parameters, phas
         pytest.param("backlash", {"width": 0.8e-6, "start": -0.6}, marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.slow
 def test_what_bends_the_shown_deflection_is_told_by_its_own_shape(parameters, name, values) -> None:
     signal = name.partition(":")[2]
     answer = diagnose([concealed({name: {**values, **({"signal": signal} if signal else {})}})], parameters)

@@ -39,6 +39,7 @@ def named(answer) -> list[tuple[str, str | None]]:
     return [(e.id, e.signal) for e in answer.effects]
 
 
+@pytest.mark.slow
 def test_a_converter_that_clips_is_read_off_its_values(parameters, tmp_path) -> None:
     whole = concealed()
     high = float(np.quantile(whole[TIP_DEFLECTION], 0.8))
@@ -195,6 +196,7 @@ def test_a_dead_time_of_many_samples_has_no_rival(parameters) -> None:
     assert answer.effects[0].parameters["delay"].value == pytest.approx(5e-3, rel=0.01)
 
 
+@pytest.mark.slow
 def test_what_two_effects_do_equally_well_is_told_as_a_set(parameters) -> None:
     """Straight lines between the samples, read 0.4 samples later, are a mean of two samples: both, and neither by name."""
     late = with_tip(concealed(), lambda tip: 0.6 * tip + 0.4 * np.roll(tip, 1))

@@ -34,7 +34,9 @@ def _truths():
 TRUTHS = _truths()
 
 
-@pytest.mark.parametrize("name", sorted(TRUTHS))
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "cs" else name for name in sorted(TRUTHS)]
+)
 def test_a_law_is_found_from_its_own_output(name):
     u = _path(1, turns=10 if name == "preisach" else 16)
     clean = TRUTHS[name].run(u, TRUTHS[name].settle(20.0))

@@ -104,6 +104,7 @@ def test_fewer_outputs_than_cells_and_the_right_basis_is_chosen(name):
     assert found.residual.shape == (np.count_nonzero(seen),)
 
 
+@pytest.mark.slow
 def test_a_density_of_both_signs_is_found_where_it_is_needed():
     density = DENSITIES["cosine"] - 0.4 * DENSITIES["cosine"].T[::-1, ::-1].T
     truth = PreisachOperator(WALLS, np.tril(density), 0.0)

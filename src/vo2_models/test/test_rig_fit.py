@@ -57,7 +57,7 @@ def _error(model, drive: np.ndarray, values: np.ndarray, dt: float = 0.01) -> fl
     return float(np.sqrt(np.mean((found - values) ** 2)) / np.ptp(values))
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("sign", [1.0, pytest.param(-1.0, marks=pytest.mark.slow)])
 def test_an_open_file_is_fitted_in_lag_loop_and_sense(sign):
     drive = _drive(1500, 150)
     values = _measured(drive, lag=6.0, sign=sign)

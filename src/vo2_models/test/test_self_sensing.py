@@ -204,7 +204,7 @@ def identification_current():
     return np.concatenate([np.full(30, low), np.repeat(levels, 10)])
 
 
-@pytest.mark.parametrize("seed", [3, 17])
+@pytest.mark.parametrize("seed", [3, pytest.param(17, marks=pytest.mark.slow)])
 def test_identified_from_a_recording_it_estimates_an_independent_sequence(seed):
     """Truth is thousands of switching domains; only what a rig records goes into the identification."""
     device = truth("integrated", seed=seed)
@@ -226,6 +226,7 @@ def test_identified_from_a_recording_it_estimates_an_independent_sequence(seed):
         assert error["composite"] < error[other] < 2.5
 
 
+@pytest.mark.slow
 def test_together_the_composite_and_the_direct_scheme_err_less_on_a_slow_cycle():
     """Three cycles between levels that the identification does not stop at, means of three devices."""
     error = {kind: [] for kind in ("composite", "preisach", "combined")}

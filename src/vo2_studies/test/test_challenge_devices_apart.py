@@ -21,6 +21,7 @@ def answer(family, seed, index, kinds=(), **told):
     return assemble_diagnosis(study([case.test.measurement], Nominal.from_parameters(model)))
 
 
+@pytest.mark.slow
 def test_limiting_loops_are_no_second_thermal_mode():
     found = answer("proximity", 20261303, 0)
     assert found.verdict == "agrees"

@@ -280,7 +280,7 @@ def test_what_is_started_then_can_be_ended():
         assert signal.SIGTERM not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
-@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("by", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_interrupt_keeps_the_sections_that_are_done(tmp_path, by):
     arguments = [
         "-m",
