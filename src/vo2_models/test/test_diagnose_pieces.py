@@ -13,7 +13,7 @@ from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.next_experiment import library
 from vo2_models.diagnosis.noise import NoiseModel, fit_noise, level_from_differences, outliers
 from vo2_models.diagnosis.nominal import Nominal
-from vo2_models.diagnosis.report import probabilities
+from vo2_models.diagnosis.report import beside_the_first, probabilities
 from vo2_models.diagnosis.result import SCHEMA, validate
 from vo2_models.effects.adc_quantization import value_step
 from vo2_models.hysteresis.play_bank import PlayBank
@@ -323,6 +323,19 @@ def test_probabilities_order_rivals_and_sum_to_one() -> None:
     assert np.sum(p) == pytest.approx(1.0)
     assert p[0] > p[1] > p[2]
     assert p[1] / p[0] == pytest.approx(np.exp(-0.5 * 10.0 / 4.0))
+
+
+@pytest.mark.parametrize(
+    ("weights", "expected"),
+    [
+        ([0.5, 0.4, 0.1], [0.5, 0.4, 0.1]),
+        ([0.2, 0.8, 0.0], [0.4, 0.4, 0.2]),
+        ([0.0, 1.0, 0.0], [0.4, 0.4, 0.2]),
+    ],
+)
+def test_a_rival_is_no_likelier_than_the_answer_and_has_its_odds(weights, expected) -> None:
+    odds = [0.0, 0.2] if expected[0] == 0.5 else [0.0, 0.5]
+    np.testing.assert_allclose(beside_the_first(np.array(weights), odds), expected)
 
 
 @pytest.mark.parametrize("device", ["integrated", "peltier"])

@@ -11,11 +11,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.pairs import Option, trace
+from vo2_models.diagnosis.problem import LinearisedProblem
 
-__all__ = ["Adequacy", "adequacy_of", "sureness"]
+__all__ = ["Adequacy", "adequacy_of", "over_misfit", "sureness"]
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,44 @@ def adequacy_of(option: Option, limits: Limits) -> Adequacy:
     gain = max(chosen.gain, 0.0)
     share = gain / max(gain + count * remaining, 1e-300)
     left = max(remaining - limits.equation * gain / count, 0.0)
+    over = over_misfit(option.final, option.final.residual - chosen.deviation)
+    if over:  # what this device's law misses of its own calibration is no sign of something else
+        left *= max(1.0 - (limits.own_misfit / max(over.values())) ** 2, 0.0)
     return Adequacy(chosen.keys, share, left, sureness(option))
+
+
+def over_misfit(problem: LinearisedProblem, residual: Floats) -> dict[str, float]:
+    """Return how far each channel of a device without body is from the model, over the error on held-out calibration.
+
+    Constants are moved: where they stand is told by itself.
+
+    Parameters
+    ----------
+    problem : the problem
+    residual : (N,) what is left, whitened by nothing
+
+    Returns
+    -------
+    channel -> r.m.s. distance over r.m.s. error; empty where that error is not known
+    """
+    model = problem.nominal.model
+    if model.description.has_body:
+        return {}
+    weights = problem.fit_nuisance(residual)[-len(problem.constants) :]
+    drifting = np.array([constant.drifts for constant in problem.constants])
+    residual = residual - problem.nuisance.thermal @ np.where(drifting, weights, 0.0)
+    found = {}
+    for channel in dict.fromkeys(row.channel for row in problem.rows):
+        sensor = model.sensors.get(channel)
+        if sensor is None or not sensor.misfit > 0.0:
+            continue
+        squares, count = 0.0, 0
+        for row in (row for row in problem.rows if row.channel == channel):
+            counts = problem.weight[row.where] > 0
+            squares += float(np.sum(problem.in_its_unit(row, residual)[counts] ** 2))
+            count += int(np.count_nonzero(counts))
+        found[channel] = float(np.sqrt(squares / max(count, 1))) / sensor.misfit
+    return found
 
 
 def sureness(option: Option) -> float:

@@ -214,7 +214,7 @@ def _unnamed(
     loud = (
         located.is_large(limits)
         and located.total_excess > located.left_out
-        and not located.within_misfit(limits)
+        and not located.within_misfit(limits.unlike_misfit)
     )
     if loud:
         clock.say("shaping what has no name")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from vo2_models.diagnosis.adequacy import over_misfit
 from vo2_models.diagnosis.breakdown import Breakdown, breakdown
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.loop_shape import loop_shapes
@@ -56,9 +57,9 @@ class Located:
         """Whether the excess of all channels, or of one, is more than unchanged devices of the own simulator show."""
         return self.total_excess > limits.excess or max(self.excess.values()) > limits.channel_excess
 
-    def within_misfit(self, limits: Limits) -> bool:
-        """Whether the recordings are as near to the model as its calibration's held-out parts: nothing is to be explained."""
-        return bool(self.own_misfit) and max(self.own_misfit.values()) < limits.own_misfit
+    def within_misfit(self, limit: float) -> bool:
+        """Whether no channel is further from the model than `limit` times what its calibration's held-out parts are."""
+        return bool(self.own_misfit) and max(self.own_misfit.values()) < limit
 
 
 def locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
@@ -92,7 +93,7 @@ def locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
         total,
         tuple(breakdown(problem, remaining)),
         _left_out(problem),
-        _over_misfit(problem),
+        over_misfit(problem, problem.residual),
     )
 
 
@@ -102,31 +103,6 @@ def _left_out(problem: LinearisedProblem) -> float:
         problem.shapes[c].left_out * n for c, n in problem.count_by_channel.items() if c in problem.shapes
     )
     return expected / max(problem.count, 1)
-
-
-def _over_misfit(problem: LinearisedProblem) -> dict[str, float]:
-    """Distance of each channel of a device without body from the model, r.m.s., over that of held-out calibration.
-
-    Constants are moved: where they stand is told by itself.
-    """
-    model = problem.nominal.model
-    if model.description.has_body:
-        return {}
-    weights = problem.fit_nuisance(problem.residual)[-len(problem.constants) :]
-    drifting = np.array([constant.drifts for constant in problem.constants])
-    residual = problem.residual - problem.nuisance.thermal @ np.where(drifting, weights, 0.0)
-    found = {}
-    for channel in dict.fromkeys(row.channel for row in problem.rows):
-        sensor = model.sensors.get(channel)
-        if sensor is None or not sensor.misfit > 0.0:
-            continue
-        squares, count = 0.0, 0
-        for row in (row for row in problem.rows if row.channel == channel):
-            counts = problem.weight[row.where] > 0
-            squares += float(np.sum(problem.in_its_unit(row, residual)[counts] ** 2))
-            count += int(np.count_nonzero(counts))
-        found[channel] = float(np.sqrt(squares / max(count, 1))) / sensor.misfit
-    return found
 
 
 def _relinearise_constants(

@@ -32,7 +32,14 @@ from vo2_models.diagnosis.stages import Study
 from vo2_models.effects.record import CHOICE
 from vo2_models.recording import TIP_DEFLECTION
 
-__all__ = ["MODEL_DISCREPANCY", "assemble_diagnosis", "equally_likely", "probabilities", "unlikely"]
+__all__ = [
+    "MODEL_DISCREPANCY",
+    "assemble_diagnosis",
+    "beside_the_first",
+    "equally_likely",
+    "probabilities",
+    "unlikely",
+]
 
 Floats = NDArray[np.float64]
 LOST = 2.0
@@ -308,9 +315,7 @@ def _weights(study: Study, everyone: Sequence[Explanation], chi: Sequence[float]
         for rival, more in zip(everyone[1:], dearer[1:] - dearer[0], strict=True)
         for other in [_change(problem, rival)]
     ]
-    # what seems better here was refitted about itself too, and was not: it is as likely at most
-    weights = np.maximum(np.minimum(weights / weights[0], 1.0), [1.0, *odds])
-    return np.asarray(weights / np.sum(weights))
+    return beside_the_first(weights, odds)
 
 
 def _change(problem: LinearisedProblem, explanation: Explanation) -> Floats:
@@ -605,11 +610,11 @@ def _why_enough(study: Study) -> str:
             "that it was not fitted on: it is the fitted loops' own misfit"
         )
     located, limits = study.located, study.limits
-    if located.is_large(limits) and located.within_misfit(limits):
+    if located.is_large(limits) and located.within_misfit(limits.unlike_misfit):
         most = max(located.own_misfit.values())
-        return (
-            f"{most:.2g} times the error of the fit on held-out parts of its calibration, as repeats may be"
-        )
+        usual = located.within_misfit(limits.own_misfit)
+        judged = "as repeats may be" if usual else "more than most repeats, but no effect is adequate"
+        return f"{most:.2g} times the error of the fit on held-out parts of its calibration, {judged}"
     if located.is_large(limits):
         share = 100 * located.left_out
         return f"no more than the fitted loops miss of a stretch of their calibration that was left out, {share:.0f} %"
@@ -684,6 +689,21 @@ def odds_of_rival(
     ratio = float(np.sum(chance + 0.5 * apart**2)) + 0.5 * dearer
     scatter = max(float(np.sum(problem.over_stretches(chance) ** 2)), float(apart @ apart), 1e-12)
     return float(np.exp(-2.0 * max(ratio, 0.0) ** 2 / scatter))
+
+
+def beside_the_first(weights: Floats, odds: Sequence[float]) -> Floats:
+    """Return the probabilities (n,) of an answer and its rivals; they sum to one.
+
+    What seems better than the answer was refitted about itself too, and was not: it is as likely at most.
+
+    Parameters
+    ----------
+    weights : (n,) of the answer and its rivals; the answer's may be zero
+    odds : (n - 1,) of each rival against the answer, at least
+    """
+    against = weights / max(weights[0], np.finfo(np.float64).tiny)
+    found = np.maximum(np.minimum(against, 1.0), [1.0, *odds])
+    return np.asarray(found / np.sum(found))
 
 
 def probabilities(costs: Floats, *, temper: float) -> Floats:

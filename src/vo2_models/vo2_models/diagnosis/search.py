@@ -72,7 +72,7 @@ def search(
     """
     problem = located.problem
     hidden = drift_of(problem, problem.residual).significant(limits.drift_p)
-    if located.within_misfit(limits) and not hidden:
+    if located.within_misfit(limits.own_misfit) and not hidden:
         return Search((), (), (), (), False, ())
     candidates = hypotheses(problem, located.nominal.device, located.remaining)
     if first_use:
@@ -82,7 +82,7 @@ def search(
     shortlist = 2 * SHORTLIST if one_loop else SHORTLIST
     scores = score(problem, candidates, problem.residual, tick=clock.tick)
     if located.within_misfit(
-        limits
+        limits.own_misfit
     ):  # with constants moved; what is left is the law's, and a lag or a delay makes up for it
         return Search(tuple(candidates), tuple(scores), (), (), hidden, tuple(_not_excited(scores, limits)))
     clock.say("refitting the most promising")
