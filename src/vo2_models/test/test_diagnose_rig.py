@@ -9,7 +9,9 @@ import pytest
 from scipy.signal import lfilter
 from vo2_models.device.description import described, preset
 from vo2_models.diagnosis import decide, report
+from vo2_models.diagnosis.adequacy import adequacy_of
 from vo2_models.diagnosis.drift import drift_of
+from vo2_models.diagnosis.explain import either_way, fit_jointly
 from vo2_models.diagnosis.families import BY_DEPENDENCE, family_of_unnamed
 from vo2_models.diagnosis.held_out import block_folds
 from vo2_models.diagnosis.loop_shape import loop_shapes
@@ -83,6 +85,7 @@ def test_an_unchanged_device_agrees_and_nothing_is_named(model, given, finding):
     [
         (0.1, 0.2, 0.0, 9.0, "no more than an unchanged device shows"),
         (0.3, 0.3, 0.0, 1.5, "1.5 times the error of the fit on held-out parts of its calibration, as repeats may be"),
+        (0.3, 0.3, 0.0, 2.5, "parts of its calibration, more than most repeats, but no effect is adequate"),
         (0.3, 0.3, 0.5, 9.0, "miss of a stretch of their calibration that was left out, 50 %"),
         (0.2, 0.5, 0.5, 9.0, "miss of a stretch of their calibration that was left out, 50 %"),
     ],
@@ -143,6 +146,28 @@ def test_effects_that_explain_as_much_are_told_as_a_set_without_a_name(model):
     assert effect.probability > 0.5
     # beside the law's misfit a second effect is never named, and none is looked for
     assert [len(option.chosen.keys) for option in found.search.options] == [1]
+
+
+def test_a_creep_on_top_is_found_and_what_the_law_misses_does_not_speak_against_it(model):
+    pole = np.exp(-0.1 / 6.0)
+
+    def creeping(y):
+        return y + 0.34 * lfilter([1 - pole], [1, -pole], y - y[0])
+
+    found = study([recorded(3, change=creeping)], model)
+    (effect,) = assemble_diagnosis(found).effects
+    assert "creep" in (effect.id, *effect.siblings)
+    option = found.search.options[0]
+    assert option.chosen.keys == ("creep",) and not option.chosen.at_bound
+    strict, lenient = (replace(found.limits, own_misfit=times) for times in (0.0, 1e6))
+    assert adequacy_of(option, lenient).left == 0.0 < adequacy_of(option, strict).left
+    problem = found.located.problem
+    hypothesis = next(one for one in found.search.candidates if one.key == "creep")
+    stuck = fit_jointly(
+        problem, [hypothesis], [{"share": 0.4, "time_constant": 6.0, "gain": 0.5}], iterations=0
+    )
+    freed = either_way(problem, replace(stuck, at_bound=("creep.gain",)))
+    assert freed.chi_square < stuck.chi_square and not freed.at_bound and "gain" not in freed.values[0]
 
 
 def _shape(group: str) -> Shape:

@@ -325,15 +325,17 @@ def _equivalent(option: Option, singles: Sequence[Explanation], limits: Limits) 
     """Keys of the single effects that gain nearly as much as an option, best first, its own among them; empty for it alone.
 
     Beside a device's own misfit a little more gain is no evidence: on one response a lag, an average and a late clock differ
-    by less.
+    by less. Gains are compared as the search found them: the option alone was fitted about itself since.
     """
     chosen = option.chosen
+    own = min([chosen.gain, *(single.gain for single in singles if single.keys == chosen.keys)])
     gains = {chosen.keys[0]: chosen.gain}
     for single in singles:
         known = {key.partition(":")[0] for key in gains}  # of one effect on several signals the best
         if (
             single.keys[0].partition(":")[0] not in known
-            and single.gain >= limits.rival_of_misfit * chosen.gain
+            and single.gain >= limits.rival_of_misfit * own
+            and not single.at_bound
         ):
             gains[single.keys[0]] = single.gain
     return tuple(sorted(gains, key=lambda key: -gains[key])) if len(gains) > 1 else ()

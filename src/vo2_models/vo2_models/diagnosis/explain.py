@@ -384,6 +384,8 @@ def either_way(
 ) -> Explanation:
     """Return the best of the alternatives that effects have, each refitted: a start may be too far off to tell.
 
+    Of several magnitudes one that went to its bound may trade with a constant: without it the fit may find back.
+
     Parameters
     ----------
     problem : that it was fitted to
@@ -396,6 +398,12 @@ def either_way(
             values = [dict(v) for v in best.values]
             values[k][name] = 1.0 - values[k][name]
             other = fit_jointly(problem, fit.hypotheses, values, iterations=BRIEF, tick=tick)
+            best = min(best, other, key=lambda e: e.chi_square)
+        ends = [name for name in hypothesis.magnitudes if f"{hypothesis.key}.{name}" in best.at_bound]
+        if ends and any(name in best.values[k] for name in hypothesis.magnitudes if name not in ends):
+            values = [dict(v) for v in best.values]
+            values[k] = {name: value for name, value in values[k].items() if name not in ends}
+            other = fit_jointly(problem, fit.hypotheses, values, tick=tick)
             best = min(best, other, key=lambda e: e.chi_square)
     return best
 
