@@ -42,7 +42,7 @@ def test_an_unchanged_device_agrees(parameters) -> None:
     validate(answer.to_dict())
 
 
-@pytest.mark.parametrize("device_seed", [9001, pytest.param(9005, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("device_seed", [9001, 9005])
 @pytest.mark.slow
 def test_a_calibration_at_one_rate_raises_no_alarm_at_another(device_seed) -> None:
     found = calibrated(device_seed)
@@ -333,7 +333,7 @@ def test_a_coarser_converter_is_named_with_little_to_gain(parameters) -> None:
     assert answer.effects[0].parameters["step"].value == pytest.approx(600.0)
 
 
-@pytest.mark.parametrize("straight", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.parametrize("straight", [True, False])
 @pytest.mark.slow
 def test_a_gain_that_drifts_may_settle(parameters, straight) -> None:
     plain = concealed()
@@ -347,7 +347,7 @@ def test_a_gain_that_drifts_may_settle(parameters, straight) -> None:
     assert answer.location[0].signal == RESISTANCE
 
 
-@pytest.mark.parametrize("phase", [0.0, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("phase", [0.0, 1.0])
 @pytest.mark.slow
 def test_the_recording_tells_which_transition_takes_up_the_heat(parameters, phase) -> None:
     """Loops of the fitted family here: of another mixing law, the metallic fraction is not known that well."""
@@ -364,8 +364,8 @@ def test_the_recording_tells_which_transition_takes_up_the_heat(parameters, phas
     ("name", "values"),
     [
         ("sensor_ripple:tip_deflection", {"amplitude": 0.6e-6, "pitch": 7.3e-6, "phase_angle": 2.5}),
-        pytest.param("stiffening", {"stiffness": 3e7, "rest_bend": -2.5e3}, marks=pytest.mark.slow),
-        pytest.param("backlash", {"width": 0.8e-6, "start": -0.6}, marks=pytest.mark.slow),
+        ("stiffening", {"stiffness": 3e7, "rest_bend": -2.5e3}),
+        ("backlash", {"width": 0.8e-6, "start": -0.6}),
     ],
 )
 @pytest.mark.slow

@@ -326,15 +326,14 @@ def test_probabilities_order_rivals_and_sum_to_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("weights", "expected"),
+    ("weights", "odds", "expected"),
     [
-        ([0.5, 0.4, 0.1], [0.5, 0.4, 0.1]),
-        ([0.2, 0.8, 0.0], [0.4, 0.4, 0.2]),
-        ([0.0, 1.0, 0.0], [0.4, 0.4, 0.2]),
+        ([0.5, 0.4, 0.1], [0.0, 0.2], [0.5, 0.4, 0.1]),
+        ([0.2, 0.8, 0.0], [0.0, 0.5], [0.4, 0.4, 0.2]),
+        ([0.0, 1.0, 0.0], [0.0, 0.5], [0.4, 0.4, 0.2]),
     ],
 )
-def test_a_rival_is_no_likelier_than_the_answer_and_has_its_odds(weights, expected) -> None:
-    odds = [0.0, 0.2] if expected[0] == 0.5 else [0.0, 0.5]
+def test_a_rival_is_no_likelier_than_the_answer_and_has_its_odds(weights, odds, expected) -> None:
     np.testing.assert_allclose(beside_the_first(np.array(weights), odds), expected)
 
 

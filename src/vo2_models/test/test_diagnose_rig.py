@@ -241,7 +241,6 @@ def test_a_gain_of_a_resistance_is_told_as_that_and_not_as_its_logarithm():
     assert abs(drift.move[place] - 0.4) < min(3.0 * drift.std[place], 0.03)
 
 
-@pytest.mark.slow
 def test_of_a_gain_of_a_resistance_the_logarithm_was_fitted(unchanged):
     problem = unchanged.located.problem
     named = tuple(replace(c, name="resistance.gain") for c in problem.constants)

@@ -79,7 +79,7 @@ def over_misfit(problem: LinearisedProblem, residual: Floats) -> dict[str, float
     Parameters
     ----------
     problem : the problem
-    residual : (N,) what is left, whitened by nothing
+    residual : (N,) what is left, scaled as `problem.residual`
 
     Returns
     -------
