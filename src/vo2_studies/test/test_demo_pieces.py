@@ -2,6 +2,9 @@
 
 import json
 import re
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -17,7 +20,7 @@ from vo2_studies.demo.acts import ACTS, act
 from vo2_studies.demo.acts.change import start_diagnosis
 from vo2_studies.demo.concealed import Concealed, check_choice, conceal, diagnosis_section, judge
 from vo2_studies.demo.errors import TRUE_DEFLECTION, estimation_error, phase_data, tracking_error
-from vo2_studies.demo.graph import Graph
+from vo2_studies.demo.graph import Graph, NodeProcess
 from vo2_studies.demo.stage import Phase, Stage
 
 PHASE = Phase("steps", "/vo2", 2.0, 2.1)
@@ -183,6 +186,34 @@ def stage(tmp_path):
     graph = Graph(1, tmp_path / "logs")
     graph.log_folder.mkdir()
     return Stage(tmp_path, "integrated", 3, "creep", graph, None)
+
+
+def test_recorders_end_before_what_they_still_hear(tmp_path):
+    program = (
+        "import signal, sys, time\n"
+        "def end(*_):\n"
+        "    print(time.monotonic(), flush=True)\n"
+        "    time.sleep(float(sys.argv[1]))\n"
+        "    print(time.monotonic(), flush=True)\n"
+        "    sys.exit()\n"
+        "signal.signal(signal.SIGINT, end)\n"
+        "print('ready', flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    graph = Graph(1, tmp_path)
+    for executable, lag in (("record", "0.5"), ("estimator", "0")):
+        log = tmp_path / executable
+        with log.open("wb") as stream:
+            process = subprocess.Popen([sys.executable, "-c", program, lag], stdout=stream)
+        graph.processes.append(NodeProcess(executable, process, log, executable))
+    while not all("ready" in each.log.read_text() for each in graph.processes):
+        time.sleep(0.01)
+    graph.end()
+    (_, recorded), (told, _) = (
+        [float(line) for line in (tmp_path / name).read_text().split()[1:]]
+        for name in ("record", "estimator")
+    )
+    assert recorded < told and not graph.processes
 
 
 def test_a_diagnosis_that_fails_is_told_with_its_own_words(stage, tmp_path):

@@ -48,6 +48,7 @@ class NodeProcess:
     name: str
     process: subprocess.Popen[bytes]
     log: Path
+    executable: str = ""
     peak_kb: int = 0
     cpu_s: float = 0.0
 
@@ -122,7 +123,7 @@ class Graph:
                 # Ctrl-C reaches the demo alone, which then ends the processes in order
                 start_new_session=True,
             )
-        started = NodeProcess(label, process, log)
+        started = NodeProcess(label, process, log, executable)
         self.processes.append(started)
         return started
 
@@ -136,7 +137,13 @@ class Graph:
             self._note_use(each)
 
     def end(self, *which: NodeProcess, timeout_s: float = _END_S) -> None:
-        """End processes (all, if none is named) with SIGINT, and SIGKILL for one that does not obey."""
+        """End processes (all, if none is named) with SIGINT, and SIGKILL for one that does not obey.
+
+        Of all, recorders end first: what they lag behind by is still with the publishers, and would go with them.
+        """
+        recorders = [each for each in self.processes if each.executable == "record"]
+        if recorders and not which:
+            self.end(*recorders, timeout_s=timeout_s)
         ending = list(which) or list(reversed(self.processes))
         for each in ending:
             self._note_use(each)
