@@ -182,7 +182,7 @@ def test_what_acts_behind_the_film_may_share_its_simulation(name) -> None:
     ],
 )
 def test_a_sensor_shows_a_change_of_the_loop_as_it_shows_the_loop(channel, changes) -> None:
-    """A small change of the loop's shape, propagated, is the difference of two simulations; a ripple is passed over."""
+    """A small change of the loop's shape, propagated, is the difference of two simulations, behind a steep ripple too."""
     current, dt, basis = _drive(), 1e-3, basis_of("integrated")
     nominal = replace(_model(), model=_with_deflection())
     weights = np.random.default_rng(2).normal(size=basis.columns)
@@ -191,11 +191,9 @@ def test_a_sensor_shows_a_change_of_the_loop_as_it_shows_the_loop(channel, chang
     before = nominal.respond(current, dt, effects=changes, fine=False)
     after = replace(nominal, corrections={channel: fold}).respond(current, dt, effects=changes, fine=False)
     column = fold(before.temperature)[:, None]
-    film = nominal.respond(current, dt).channels[RESISTANCE] if channel == RESISTANCE else None
+    given = channel == RESISTANCE or "ripple" in next(iter(changes))
+    film = nominal.respond(current, dt).channels[channel] if given else None
     found = as_sensed(nominal.model.simulation.with_effects(changes), channel, column, dt, film)[:, 0]
-    if "ripple" in next(iter(changes)):
-        assert np.array_equal(found, column[:, 0])
-        return
     expected = after.channels[channel] - before.channels[channel]
     late = slice(200, None)
     assert np.abs(found - expected)[late].max() < 0.02 * np.abs(expected).max()

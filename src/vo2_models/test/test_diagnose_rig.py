@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import lfilter, lsim
 from vo2_models.device.description import described, preset
 from vo2_models.diagnosis import decide, report
-from vo2_models.diagnosis.adequacy import adequacy_of
+from vo2_models.diagnosis.adequacy import adequacy_of, shown
 from vo2_models.diagnosis.drift import drift_of
 from vo2_models.diagnosis.explain import either_way, fit_jointly
 from vo2_models.diagnosis.families import BY_DEPENDENCE, family_of_unnamed
@@ -294,6 +294,56 @@ def test_a_correction_of_the_loop_knows_nothing_of_the_rest_without_drive(model)
     added = with_it.channels[TIP_DEFLECTION] - plain.channels[TIP_DEFLECTION]
     expected = shapes[TIP_DEFLECTION].fold()(plain.temperature)
     assert np.max(np.abs(added - expected)) < 1e-12 and np.ptp(added) > 1e-9
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"cantilever_resonance": {"share": 0.4, "frequency": 0.8, "damping": 0.02}},
+        {"log_creep": {"rate": 0.02, "onset": 0.3}},
+        {"sensor_lag:tip_deflection": {"signal": TIP_DEFLECTION, "time_constant": 0.4}},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)
+def test_what_is_behind_the_film_begins_at_rest_with_the_first_drive(model, changes):
+    """A ring from a start elsewhere would last: 1 / (2 pi f zeta) is 10 s here, a hundred samples."""
+    nominal, held = Nominal.from_parameters(model), np.full(300, 7.0)
+    plain, changed = (
+        nominal.respond(held, 0.1, effects=effects, settled=True).channels[TIP_DEFLECTION]
+        for effects in ({}, changes)
+    )
+    assert np.abs(changed - plain).max() < 1e-4 * np.ptp(recorded(2)[TIP_DEFLECTION])  # ten lags of the drive
+
+
+def test_a_response_goes_straight_from_sample_to_sample_where_no_body_is_heated(model):
+    """The lag of a straight line is the line a time constant ago, and a mode rings as scipy's, held to first order."""
+    nominal, dt, tau = Nominal.from_parameters(model), 0.1, 0.25
+    volts = recorded(2)[HEATER_CURRENT]
+    lag = {"sensor_lag:tip_deflection": {"signal": TIP_DEFLECTION, "time_constant": tau}}
+    mode = {"cantilever_resonance": {"share": 0.6, "frequency": 0.8, "damping": 0.05}}
+    plain, slow, ringing = (
+        nominal.respond(volts, dt, effects=effects, settled=True).channels[TIP_DEFLECTION]
+        for effects in ({}, lag, mode)
+    )
+    w, time = 2 * np.pi * 0.8, np.arange(plain.size) * dt
+    for given, expected in (
+        (([1.0], [tau, 1.0]), slow),
+        (([w**2], [1.0, 2 * 0.05 * w, w**2]), plain + (ringing - plain) / 0.6),
+    ):
+        exact = plain[0] + lsim(given, plain - plain[0], time)[1]
+        assert np.abs(expected - exact).max() < 1e-3 * np.ptp(plain)
+
+
+def test_a_steep_ripple_is_found_where_it_folds_the_measured_values(model):
+    """Its slope of 1.6 shows three values at once: crests are counted along the simulated ones."""
+    span = np.ptp(recorded(2)[TIP_DEFLECTION])
+    pitch = span / 6.3
+    found = study([recorded(2, change=lambda y: y + 0.04 * span * np.sin(2 * np.pi * y / pitch))], model)
+    (effect,) = assemble_diagnosis(found).effects
+    assert effect.id == "sensor_ripple"
+    assert found.decision.chosen.values[0]["pitch"] == pytest.approx(pitch, rel=0.05)
+    # a small misfit looks larger where the ripple is steep: that is no sign of something else
+    assert 1.2 < shown(found.decision.final, TIP_DEFLECTION) < 2.0
 
 
 def test_a_response_that_is_missing_is_named_as_the_device_names_it_and_units_are_its_own(unchanged):

@@ -24,6 +24,7 @@ __all__ = ["Plan", "plan", "source", "state_size"]
 
 _DEVICE = {
     "time_constant_of_body": Coefficient.TIME_CONSTANT,
+    "time_constant_between": Coefficient.BETWEEN,
     "ambient_of_device": Coefficient.AMBIENT,
     "on_stage": Coefficient.ON_STAGE,
 }

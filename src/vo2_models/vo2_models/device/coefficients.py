@@ -61,6 +61,9 @@ class Coefficient(IntEnum):
     LINEAR_GAIN = auto()  # K/A
     SQUARE_GAIN = auto()  # K/A^2
     TIME_CONSTANT = auto()  # s
+    BETWEEN = (
+        auto()
+    )  # s: time constant with which a response moves on between two samples; HUGE where it goes straight
     POWER_GAIN = auto()  # K/W: rise per electrical power in the film itself
     VOLTAGE = auto()  # 1 where the drive is the voltage over the film, 0 where it is the current through it
     SLOW_SHARE = auto()  # 1: part of the rise that arrives through a second, slower lag
@@ -111,6 +114,7 @@ _NEUTRAL = {
     Coefficient.RANGE_LOW: -HUGE,
     Coefficient.RANGE_HIGH: HUGE,
     Coefficient.TIME_CONSTANT: 1.0,
+    Coefficient.BETWEEN: 1.0,
     Coefficient.SLOW_TIME: 1.0,
     Coefficient.THRESHOLD: 0.5,
     Coefficient.LENGTH: 1.0,

@@ -16,6 +16,7 @@ from vo2_models.device import chain
 from vo2_models.device.assembly import FLAGS, plan, state_size
 from vo2_models.device.coefficients import (
     CHANNELS,
+    HUGE,
     Coefficient,
     Sensor,
     apply_effects,
@@ -170,7 +171,8 @@ class Simulation:
         c[first_flag() : first_flag() + of.flags.shape[0]] = of.flags @ on
         for name, raised in (("resistance", own_heat), ("any:heat", own_heat or slow), ("any:film", slow)):
             c[first_flag() + FLAGS.index(name)] += float(raised)
-        constant = c[Coefficient.TIME_CONSTANT]
+        heated = preset(self.device).has_body or c[Coefficient.SQUARE_GAIN] != 0.0 or own_heat
+        between = c[Coefficient.BETWEEN] = c[Coefficient.TIME_CONSTANT] if heated else HUGE
         sensed = set()
         for k in np.flatnonzero(on):
             block = blocks()[of.keys[k]]
@@ -178,12 +180,12 @@ class Simulation:
             sensed.add(block.signal)
             values = {p.name: float(c[block.places[p.name]]) for p in record.parameters}
             if record.derived:
-                numbers = record.hooks["prepare"](values, period, math.inf if straight else constant)
+                numbers = record.hooks["prepare"](values, period, math.inf if straight else between)
                 for name, number in zip(record.derived, numbers, strict=True):
                     c[block.places[name]] = number
             if "delay" in record.hooks:
                 c[Coefficient.DEAD_TIME] += record.hooks["delay"](**values)
-        steps = math.ceil(self.steps_per_constant * period / constant) if feedback else 1
+        steps = math.ceil(self.steps_per_constant * period / c[Coefficient.TIME_CONSTANT]) if feedback else 1
         c[Coefficient.SUBSTEPS] = float(max(steps, 1))
         if c[Coefficient.DEAD_TIME] > (CURRENT_LINE - 2) * period:
             raise ValueError(

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.pairs import Option, trace
-from vo2_models.diagnosis.problem import LinearisedProblem
+from vo2_models.diagnosis.problem import LinearisedProblem, at_sensor
+from vo2_models.diagnosis.propagate_correction import as_sensed
 
 __all__ = ["Adequacy", "adequacy_of", "over_misfit", "sureness"]
 
@@ -101,8 +102,31 @@ def over_misfit(problem: LinearisedProblem, residual: Floats) -> dict[str, float
             counts = problem.weight[row.where] > 0
             squares += float(np.sum(problem.in_its_unit(row, residual)[counts] ** 2))
             count += int(np.count_nonzero(counts))
-        found[channel] = float(np.sqrt(squares / max(count, 1))) / sensor.misfit
+        found[channel] = float(np.sqrt(squares / max(count, 1))) / (sensor.misfit * shown(problem, channel))
     return found
+
+
+def shown(problem: LinearisedProblem, channel: str) -> float:
+    """Return how far a sensor shows a small misfit of a channel enlarged, r.m.s.: a ripple's slope; at least 1.
+
+    Parameters
+    ----------
+    problem : about its effects
+    channel : judged
+    """
+    slopes = [
+        as_sensed(
+            problem.nominal.model.simulation.with_effects(problem.included),
+            channel,
+            np.ones((part.size, 1)),
+            part.dt,
+            film,
+        )
+        for row, part, _ in problem.iterate()
+        if row.channel == channel
+        and (film := at_sensor(problem.nominal, channel, part, problem.included)) is not None
+    ]
+    return max(float(np.sqrt(np.mean(np.concatenate(slopes) ** 2))), 1.0) if slopes else 1.0
 
 
 def sureness(option: Option) -> float:

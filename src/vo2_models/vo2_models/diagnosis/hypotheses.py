@@ -383,27 +383,32 @@ def _is_pitch(parameter: Parameter, record: Effect) -> bool:
 def _pitches(problem: LinearisedProblem, signal: str, residual: Floats, finest: float) -> list[float]:
     """Periods along a channel's values, in its unit, in which its residual swings most, best first.
 
-    Power of the residual at 1 / pitch over the measured values in place of the time, at a quarter of a crest over their span.
+    Power of the residual at 1 / pitch over values in place of the time, at a quarter of a crest over their span: over the
+    measured ones, and over the simulated ones, which a ripple that is steep has not folded.
     """
-    values, left = [], []
-    for row, part, _ in problem.iterate():
+    measured, simulated, left = [], [], []
+    for row, part, response in problem.iterate():
         if row.channel == signal:
             counts = problem.weight[row.where] > 0
-            values.append(part.observed[signal][counts])
+            measured.append(part.observed[signal][counts])
+            simulated.append(response.channels[signal][counts])
             left.append(problem.in_its_unit(row, residual)[counts])
-    y, r = np.concatenate([[], *values]), np.concatenate([[], *left])
-    if y.size == 0:
+    r = np.concatenate([[], *left])
+    if r.size == 0:
         return [3.0 * finest]
-    stride = max(1, y.size // 20_000)
-    y, r = y[::stride], r[::stride] - np.mean(r)
-    span = max(float(np.ptp(y)), CRESTS * finest)
+    stride = max(1, r.size // 20_000)
+    r = r[::stride] - np.mean(r)
+    values = [np.concatenate(each)[::stride] for each in (measured, simulated)]
+    span = max(float(np.ptp(values[0])), CRESTS * finest)
     finest = max(finest, span / MOST_CRESTS)
     per_unit = np.arange(CRESTS / span, 1.0 / finest + 0.25 / span, 0.25 / span)
-    power = np.abs([r @ np.exp(-2j * np.pi * f * y) for f in per_unit])
+    power = np.max([[np.abs(r @ np.exp(-2j * np.pi * f * y)) for f in per_unit] for y in values], axis=0)
     found: list[float] = []
     for k in np.argsort(-power):
         if all(abs(per_unit[k] - 1.0 / pitch) > 0.5 / span for pitch in found):
             found.append(1.0 / float(per_unit[k]))
         if len(found) == PITCHES:
             break
-    return found
+    # a gain that has moved acts behind the ripple
+    gain = problem.moved(problem.origin).get("deflection.gain", 1.0)
+    return [pitch / gain for pitch in found]

@@ -14,7 +14,13 @@ from vo2_models.device import DeviceModel, preset
 from vo2_models.device.coefficients import CHANNELS, Coefficient, Sensor, blocks, sensor_index
 from vo2_models.device.simulation import Simulation, longest_lag
 from vo2_models.diagnosis.noise import NoiseModel
-from vo2_models.diagnosis.propagate_correction import Film, corrected_film, film_alone, propagate_correction
+from vo2_models.diagnosis.propagate_correction import (
+    BEHIND_FILM,
+    Film,
+    corrected_film,
+    film_alone,
+    propagate_correction,
+)
 from vo2_models.effects import effects
 from vo2_models.effects.record import SAMPLED
 from vo2_models.identification.digest import CalibrationDigest
@@ -249,17 +255,18 @@ class Nominal:
         if settled:
             lead = int(np.ceil(10 * (longest_lag(c) + c[Coefficient.DEAD_TIME]) / dt))
             if not self.model.heats:  # no lag of a body that is longer than what effects add
-                lead = min(lead + int(np.ceil(10 * _longest(effects or {}) / dt)), current.size)
+                lead = min(lead + int(np.ceil(10 * _longest_before_film(effects or {}) / dt)), current.size)
             current = np.concatenate([np.full(lead, current[0]), current])
-        # a drive that moves on between samples is late by any share of one
-        late = not self.model.heats and "dead_time" in (effects or {})
-        steps = FINE if fine and (late or _between_samples(chain, dt)) else 1
+        steps = FINE if fine and _between_samples(chain, dt, held=self.model.heats) else 1
         if steps > 1:
             current, dt = self._finer(current, steps), dt / steps
         # a candidate may drive the simulation out of anything physical: it must only look very wrong
-        if self.corrections:
+        resting = settled and not self.model.heats
+        if self.corrections or resting:
             alone = film_alone(chain.coefficients)
             film = self._films(alone.tobytes(), current.tobytes(), dt)
+            if resting:  # what is behind the film begins at rest with it, a ring too
+                film, lead = film.resting_until(lead * steps), 0
             out = _finite(propagate_correction(chain, film, dt, every=steps))
         else:
             out = _bounded(chain.run(current, dt=dt))[steps - 1 :: steps]
@@ -302,11 +309,12 @@ def rounded_with_noise(values: Floats, step: float, noise: Floats) -> Floats:
     return out
 
 
-def _longest(given: Mapping[str, Mapping[str, float | str]]) -> float:
-    """The times of effects together [s]: delays, lags, windows."""
+def _longest_before_film(given: Mapping[str, Mapping[str, float | str]]) -> float:
+    """The times of effects in front of the film together [s]: delays, lags, windows."""
     return sum(
         float(values[p.name])
         for key, values in given.items()
+        if effects()[key.partition(":")[0]].stage not in BEHIND_FILM
         for p in effects()[key.partition(":")[0]].parameters
         if p.unit == "s" and p.name in values
     )
@@ -327,11 +335,19 @@ def _without_rounding(chain: Simulation) -> tuple[Simulation, dict[str, float]]:
     return replace(chain, coefficients=c), grids
 
 
-def _between_samples(chain: Simulation, dt: float) -> bool:
-    """Whether what happens between two samples counts: a late or slow sensor or a fast mode feels it, a slow driver makes it."""
+def _between_samples(chain: Simulation, dt: float, *, held: bool) -> bool:
+    """Whether what happens between two samples counts: a late or slow sensor or a fast mode feels it, a slow driver makes it.
+
+    Where the drive is not held but moves on, any share of a sample makes it late, and a response goes straight from one
+    sample to the next: that is all that acts behind the film takes from it.
+    """
     for key in chain.active():
         block = blocks()[key]
         record = effects()[block.effect]
+        if not held:
+            if record.stage not in BEHIND_FILM and (record.between_samples or "delay" in record.hooks):
+                return True
+            continue
         if SAMPLED.name in block.places and chain.coefficients[block.places[SAMPLED.name]] > 0.5:
             continue
         tones = [chain.coefficients[block.places[p.name]] for p in record.parameters if p.unit == "Hz"]

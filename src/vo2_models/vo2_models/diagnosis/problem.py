@@ -30,10 +30,11 @@ from vo2_models.diagnosis.nuisance import Constant, constants_of, law_columns
 from vo2_models.diagnosis.part import Part
 from vo2_models.diagnosis.propagate_correction import as_sensed
 from vo2_models.diagnosis.tangent import Tangent
+from vo2_models.effects import effects as records
 from vo2_models.numerics.parallel import parallel_map
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE
 
-__all__ = ["LinearisedProblem", "LoopColumns", "Row", "linearise_problem"]
+__all__ = ["LinearisedProblem", "LoopColumns", "Row", "at_sensor", "linearise_problem"]
 
 Floats = NDArray[np.float64]
 Effects = Mapping[str, Mapping[str, float | str]]
@@ -407,7 +408,7 @@ def _loop_coupling(problem: LinearisedProblem) -> Floats:
                 continue
             weights = constant.spread * shape.by_lag[constant.name]
             change = shape.basis.fold(weights, span=shape.span)(response.temperature)[:, None]
-            film = _at_sensor(problem.nominal, row.channel, part, problem.included)
+            film = at_sensor(problem.nominal, row.channel, part, problem.included)
             out[row.where, place] = problem.whiten(
                 row, as_sensed(simulation, row.channel, change, part.dt, film)[:, 0]
             )
@@ -520,19 +521,29 @@ def _whitened(
         block = []
         for raw, row, w in zip(columns.raw, own, whiten, strict=True):
             part = parts[row.part]
-            film = _at_sensor(nominal, channel, part, effects)
+            film = at_sensor(nominal, channel, part, effects)
             block.append(w(as_sensed(simulation, channel, raw, part.dt, film)))
         blocks.append((slice(own[0].where.start, own[-1].where.stop), np.concatenate(block)))
     return tuple(blocks)
 
 
-def _at_sensor(nominal: Nominal, channel: str, part: Part, effects: Effects) -> Floats | None:
-    """log10 R (n,) before a sensor that effects have made slow or late; None for another channel or without such effects."""
-    suffix = f":{RESISTANCE}"
-    if channel != RESISTANCE or not any(key.endswith(suffix) for key in effects):
+def at_sensor(nominal: Nominal, channel: str, part: Part, effects: Effects) -> Floats | None:
+    """Return what a sensor that effects have changed is given (n,), in judged units; None where that does not matter.
+
+    Parameters
+    ----------
+    nominal : without the effects
+    channel : of the sensor
+    part : recording
+    effects : that act
+    """
+    suffix = f":{channel}"
+    acting = [key for key in effects if key.endswith(suffix)]
+    straight = all(records()[key.removesuffix(suffix)].linear for key in acting)
+    if not acting or (straight and channel != RESISTANCE):
         return None
-    others = {key: values for key, values in effects.items() if not key.endswith(suffix)}
-    return nominal.respond(part.current, part.dt, effects=others, settled=part.settled).channels[RESISTANCE]
+    others = {key: values for key, values in effects.items() if key not in acting}
+    return nominal.respond(part.current, part.dt, effects=others, settled=part.settled).channels[channel]
 
 
 def _sampled_gram(block: Floats, sample: int = 6000) -> Floats:

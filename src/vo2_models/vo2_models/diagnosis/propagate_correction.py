@@ -29,9 +29,13 @@ from vo2_models.effects import effects
 from vo2_models.identification.enrichment import Correction
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
-__all__ = ["Film", "as_sensed", "corrected_film", "film_alone", "propagate_correction"]
+__all__ = ["BEHIND_FILM", "Film", "as_sensed", "corrected_film", "film_alone", "propagate_correction"]
 
 Floats = NDArray[np.float64]
+BEHIND_FILM = ("terminals", "structure", "sensor")
+"""Stages that the film does not feel."""
+SMALL = 1e-5
+"""Step of a derivative of a sensor that is not linear, as a share of what it is given."""
 _FILM_CHANNELS = (RESISTANCE, TIP_DEFLECTION)
 
 
@@ -62,6 +66,11 @@ class Film:
     rest: Floats
     added: Floats
     added_at_rest: Floats
+
+    def resting_until(self, sample: int) -> Film:
+        """The film from a sample (at least 1) on, taken for at rest as it was at the sample before."""
+        last = sample - 1
+        return Film(self.out[sample:], self.out[last], self.added[sample:], self.added[last])
 
 
 def film_alone(coefficients: Floats) -> Floats:
@@ -145,7 +154,8 @@ def as_sensed(
 ) -> Floats:
     """Return changes (n, k) of the film as its channel shows them: a late or slow sensor shows them late or slowly.
 
-    Structure and sensors that are linear count; behind others a change stays as it is.
+    Behind a sensor that is not linear they are small changes about `film`. A structure counts where it is linear; behind
+    another one a change stays as it is.
 
     Parameters
     ----------
@@ -153,12 +163,14 @@ def as_sensed(
     channel : resistance, in log10 ohm, or deflection [m]
     columns : (n, k) one change a column, from a long rest
     dt : sample period [s]
-    film : (n,) log10 R at the sensor's input, for a resistance: d log10 S[R] = S[R d log10 R] / S[R]
+    film : (n,) what the sensor is given, for a resistance, in log10 ohm, and for a sensor that is not linear; of a resistance
+        d log10 S[R] = S[R d log10 R] / S[R]
     """
     if channel == TIP_DEFLECTION:
         columns = _through_structure(simulation, columns, dt)
     records = [effects()[key.partition(":")[0]] for key in simulation.active() if key.endswith(f":{channel}")]
-    if not records or not all(record.linear for record in records):
+    linear = all(record.linear for record in records)
+    if not records or (film is None and not linear):
         return columns
     c, place = simulation.prepared(dt, straight=True), CHANNELS.index(channel)
 
@@ -167,10 +179,18 @@ def as_sensed(
         through_sensor(c, np.zeros(state_size()), place, out)
         return np.ascontiguousarray(out.T)
 
-    if film is None:
+    if film is None or (linear and channel != RESISTANCE):
         return sensed(columns)
-    level = 10.0 ** film[:, None]
-    return sensed(level * columns) / sensed(level)
+    level = film[:, None]
+    if channel == RESISTANCE:
+        level = 10.0**level
+        columns = level * columns
+    if linear:
+        changed = sensed(columns)
+    else:
+        step = SMALL * np.ptp(level) / np.maximum(np.max(np.abs(columns), axis=0), 1e-300)
+        changed = (sensed(level + step * columns) - sensed(level - step * columns)) / (2.0 * step)
+    return changed / sensed(level) if channel == RESISTANCE else changed
 
 
 def _through_structure(simulation: Simulation, columns: Floats, dt: float) -> Floats:

@@ -37,12 +37,12 @@ def advance(memory, line, value, sample):
     memory[line + (sample & LAST)] = value
 
 
-def sensor(memory, line, sample, period, time_constant_of_body, delay, sampled):
+def sensor(memory, line, sample, period, time_constant_between, delay, sampled):
     late = delay / period
     whole = int(late)
     part = late - whole
     # between samples the value goes the way of the heat under a held current
-    heat = max(period / time_constant_of_body, 1e-3)
+    heat = max(period / time_constant_between, 1e-3)
     share = math.exp(heat * (part - 1.0)) * math.expm1(-heat * part) / math.expm1(-heat)
     if sampled > 0.5:
         share = part

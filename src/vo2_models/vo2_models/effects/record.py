@@ -47,8 +47,9 @@ SENSED = (RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
 _FAMILIES = {"driver": "drive", "thermal": "heat", "terminals": "film"}
 """Stage -> family, where the words differ; a sensor's family has the channel's name behind it."""
 
-DEVICE = ("time_constant_of_body", "ambient_of_device", "on_stage")
-"""Constants of the device that every hook can take: [s]; [degC]; 1 where the film sits on a heated stage that has a
+DEVICE = ("time_constant_of_body", "time_constant_between", "ambient_of_device", "on_stage")
+"""Constants of the device that every hook can take: [s]; [s], that with which a response moves on between two samples, HUGE
+where it goes straight; [degC]; 1 where the film sits on a heated stage that has a
 temperature of its own, 0 where film and heated body are one."""
 
 

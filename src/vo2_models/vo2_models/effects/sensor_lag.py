@@ -32,11 +32,11 @@ def settled(value):
     return value, value
 
 
-def advance(value, period, time_constant_of_body, lagged, last, time_constant, sampled):
+def advance(value, period, time_constant_between, lagged, last, time_constant, sampled):
     if sampled > 0.5:
         return value - math.exp(-period / time_constant) * (value - lagged), value
     # exact for an input that moves from sample to sample as the heat does under a held current
-    heat, slow = max(period / time_constant_of_body, 1e-3), period / time_constant
+    heat, slow = max(period / time_constant_between, 1e-3), period / time_constant
     gap = slow - heat
     left = math.exp(-slow)
     meanwhile = math.exp(-heat) * slow * (-math.expm1(-gap) / gap if abs(gap) > 1e-6 else 1.0)
