@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 from scipy.fft import idct
 from scipy.optimize import linprog
 from vo2_models.hysteresis.preisach import PreisachOperator, signed_area_matrix
-from vo2_models.hysteresis.preisach.basis_pursuit import basis_pursuit
-from vo2_models.hysteresis.preisach.compressive_sensing import (
+from vo2_models.identification.excitation import damped_oscillation
+from vo2_studies.preisach.basis_pursuit import basis_pursuit
+from vo2_studies.preisach.compressive_device_study import compressive_device_study
+from vo2_studies.preisach.compressive_sensing import (
     identify_compressed,
     identify_preisach_compressed,
 )
-from vo2_models.identification.excitation import damped_oscillation
-from vo2_studies.preisach.compressive_device_study import compressive_device_study
 from vo2_studies.preisach.monte_carlo import METHODS, MORE, PUBLISHED, compressive_sensing_study
 
 SEED = st.integers(0, 2**32 - 1)

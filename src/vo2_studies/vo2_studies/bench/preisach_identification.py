@@ -12,13 +12,13 @@ from vo2_models.hysteresis.preisach import (
     compress,
     fit_preisach,
     fit_smooth,
-    identify_preisach_compressed,
     signed_area_matrix,
 )
 from vo2_models.identification.excitation import damped_oscillation, first_order_reversal_fan, random_levels
 
 from vo2_studies.bench.entry import Entry, Figure
 from vo2_studies.bench.timing import alternate
+from vo2_studies.preisach.compressive_sensing import identify_preisach_compressed
 
 __all__ = ["ENTRIES"]
 

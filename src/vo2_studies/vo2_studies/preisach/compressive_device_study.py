@@ -24,11 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 from vo2_models.device import preset, truth
-from vo2_models.hysteresis.preisach.compressive_sensing import identify_compressed
 from vo2_models.hysteresis.preisach.grid import cell_count
 from vo2_models.hysteresis.preisach.signed_area import signed_area_matrix
 from vo2_models.identification.excitation import damped_oscillation, random_levels
 from vo2_models.recording import TIP_DEFLECTION
+
+from vo2_studies.preisach.compressive_sensing import identify_compressed
 
 __all__ = ["METHODS", "PUBLISHED", "CompressiveDeviceStudy", "compressive_device_study", "main"]
 

@@ -37,11 +37,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize
 from scipy.fft import dct
-from vo2_models.hysteresis.preisach.compressive_sensing import identify_preisach_compressed
 from vo2_models.hysteresis.preisach.grid import cell_count
 from vo2_models.hysteresis.preisach.operator import PreisachOperator
 from vo2_models.hysteresis.preisach.signed_area import signed_area_matrix
 from vo2_models.identification.excitation import damped_oscillation, random_levels
+
+from vo2_studies.preisach.compressive_sensing import identify_preisach_compressed
 
 __all__ = ["METHODS", "MORE", "PUBLISHED", "CompressiveStudy", "compressive_sensing_study", "main"]
 

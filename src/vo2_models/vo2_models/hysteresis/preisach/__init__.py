@@ -1,4 +1,4 @@
-"""The Preisach family: operator, inverses, identification, compressive sensing, compression.
+"""The Preisach family: operator, inverses, identification, compression.
 
 - `operator`, `grid`: the operator with piecewise-constant density, its cells;
   `kernels` holds the compiled step, for other compiled loops
@@ -6,11 +6,11 @@
 - `nonmonotonic`, `nonmonotonic_inverse`: chapter 5
 - `signed_area`, `damped`, `everett_rows`, `least_squares`, `nnls`, `interior_point`, `smooth_fit`: identification, at any
   level, of densities that are not negative or of either sign
-- `compressive_sensing`, `basis_pursuit`: identification from few measurements, chapter 4; `sparse_fit`: densities sparse
-  under cosines, wavelets or differences, from any input
+- `sparse_fit`: densities sparse under cosines, wavelets or differences, from few measurements of any input
 - `compression`: coarser grids with least loss of information, chapter 2
 
-The comparisons of chapters 2, 4 and 5 and with measured recordings are in `vo2_studies.preisach`.
+Compressive sensing of outputs (chapter 4), the comparisons of chapters 2, 4 and 5 and with measured recordings are in
+`vo2_studies.preisach`.
 
 Nothing is loaded before it is used:
 
@@ -43,8 +43,6 @@ _HOME = {
     "fit_preisach": "least_squares",
     "fit_smooth": "smooth_fit",
     "fit_sparse": "sparse_fit",
-    "identify_compressed": "compressive_sensing",
-    "identify_preisach_compressed": "compressive_sensing",
     "signed_area_matrix": "signed_area",
 }
 __all__ = sorted(_HOME)

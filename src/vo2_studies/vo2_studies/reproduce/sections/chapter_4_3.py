@@ -7,12 +7,12 @@ import time
 import numpy as np
 from scipy.fft import dct
 from scipy.optimize import nnls
-from vo2_models.hysteresis.preisach.compressive_sensing import identify_preisach_compressed
 from vo2_models.hysteresis.preisach.grid import cell_count
 from vo2_models.hysteresis.preisach.operator import PreisachOperator
 from vo2_models.hysteresis.preisach.signed_area import signed_area_matrix
 from vo2_models.identification.excitation import damped_oscillation
 
+from vo2_studies.preisach.compressive_sensing import identify_preisach_compressed
 from vo2_studies.preisach.monte_carlo import (
     MEASURES,
     METHODS,

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 from vo2_models.device import preset, truth
-from vo2_models.hysteresis.preisach.compressive_sensing import identify_preisach_compressed
 from vo2_models.hysteresis.preisach.operator import PreisachOperator
 from vo2_models.hysteresis.preisach.signed_area import signed_area_matrix
 from vo2_models.hysteresis.preisach.sparse_fit import BASES, fit_sparse
 from vo2_models.identification.excitation import damped_oscillation, random_levels
 from vo2_models.recording import RESISTANCE
 
+from vo2_studies.preisach.compressive_sensing import identify_preisach_compressed
 from vo2_studies.reproduce.claims import Claim, Context, Section, Table, at_least, at_most
 from vo2_studies.reproduce.figures import STYLES, draw
 from vo2_studies.reproduce.pool import run_many

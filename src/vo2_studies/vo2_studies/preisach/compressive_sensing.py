@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import optimize, sparse
 from scipy.fft import idct
-
-from vo2_models.hysteresis.preisach.basis_pursuit import basis_pursuit
 from vo2_models.hysteresis.preisach.damped import inverse_map
 from vo2_models.hysteresis.preisach.grid import Diagonal, cell_areas, cell_count, checked_walls, pack
 from vo2_models.hysteresis.preisach.least_squares import fit_preisach
 from vo2_models.hysteresis.preisach.operator import PreisachOperator
 from vo2_models.identification.excitation import damped_oscillation
 from vo2_models.validation import finite_array
+
+from vo2_studies.preisach.basis_pursuit import basis_pursuit
 
 __all__ = [
     "CompressedIdentification",
