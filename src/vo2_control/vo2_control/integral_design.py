@@ -2,40 +2,27 @@
 
 The weights follow from few choices: the performance weight is an integrator (its pole at 1e-5 rad/s) that asks for
 a bandwidth, the effort weight rolls off above it, and the multiplicative weight covers every identified plant.
-Among bandwidths and efforts those are taken that keep the sampled loop's Ms and Mt below a limit at every identified
-plant, and cost least.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.optimize import minimize
 
-from vo2_control.controller import LinearLaw
-from vo2_control.discretise import RobustLaw, robust_law
 from vo2_control.generalised_plant import LeadLag, RobustDesign
-from vo2_control.hinf import DesignRefused
-from vo2_control.sampled_loop import ThermalLag, loop_margins
+from vo2_control.sampled_loop import ThermalLag
 
 __all__ = [
-    "BANDWIDTHS_RAD_S",
-    "EFFORTS",
     "central_plant",
     "covering_weight",
     "integral_design",
-    "integral_laws",
-    "tuned_integral_law",
 ]
 
 _INTEGRATOR_RAD_S = 1e-5
-BANDWIDTHS_RAD_S = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4)
-EFFORTS = (0.1,)
-"""Grid of `tuned_integral_law` [rad/s, um/A]: from far below the loop's reach to where no plant keeps its margins."""
 _COVERED_RAD_S = (1e-4, 3.0)
 
 
@@ -141,85 +128,3 @@ def integral_design(
         sensing_noise=LeadLag(noise, 1.0, 100.0),
         multiplicative=uncertainty,
     )
-
-
-def integral_laws(
-    nominal: ThermalLag,
-    plants: Sequence[ThermalLag],
-    sample_period_s: float,
-    *,
-    max_sensitivity: float = 1.6,
-    expected_sign: int = 0,
-    progress: Callable[[float], None] | None = None,
-) -> list[RobustLaw]:
-    """Return every law of the grid whose loop keeps Ms and Mt below the limit at every plant, slowest first.
-
-    Parameters
-    ----------
-    nominal : plant of the synthesis, for instance `central_plant(plants)`
-    plants : identified ones, which the uncertainty must cover and the sampled loop must hold
-    max_sensitivity : limit of Ms and Mt; `worst` of each law are the margins where they are worst
-    sample_period_s : [s]
-    expected_sign : sign of the plant's gain
-    progress : called with the share done, 0 to 1
-
-    Raises
-    ------
-    DesignRefused : no design keeps the limits; says how many were tried and why the last one failed.
-    """
-    uncertainty = covering_weight(nominal, plants)
-    found = []
-    reason = "none was tried"
-    grid = list(itertools.product(BANDWIDTHS_RAD_S, EFFORTS))
-    for k, (bandwidth, effort) in enumerate(grid):
-        if progress:
-            progress(k / len(grid))
-        design = integral_design(nominal, uncertainty, bandwidth_rad_s=bandwidth, effort=effort)
-        try:
-            # gamma has no meaning of its own here: the margins of the sampled loop decide
-            robust = robust_law(design, sample_period_s, largest_gamma=math.inf, expected_sign=expected_sign)
-        except DesignRefused as refused:
-            reason = str(refused)
-            continue
-        margins = [loop_margins(robust.law, plant.sampled(sample_period_s), points=400) for plant in plants]
-        worst = max(margins, key=lambda m: max(m.sensitivity_peak, m.complementary_peak))
-        peak = max(worst.sensitivity_peak, worst.complementary_peak)
-        if not worst.stable or peak > max_sensitivity:
-            reason = f"sensitivity peak {peak:.2f} at an identified plant, need at most {max_sensitivity:g}"
-            continue
-        found.append(replace(robust, worst=worst))
-    if not found:
-        raise DesignRefused(f"weights: none of {len(grid)} designs keeps the limits; the last: {reason}")
-    return found
-
-
-def tuned_integral_law(
-    nominal: ThermalLag,
-    plants: Sequence[ThermalLag],
-    sample_period_s: float,
-    cost: Callable[[LinearLaw], float],
-    *,
-    max_sensitivity: float = 1.6,
-    expected_sign: int = 0,
-    progress: Callable[[float], None] | None = None,
-) -> RobustLaw:
-    """Return the law of least cost among `integral_laws`, which see for parameters and errors.
-
-    Parameters
-    ----------
-    nominal : plant of the design
-    plants : all of which must keep the limit
-    sample_period_s : [s]
-    max_sensitivity : limit of Ms and Mt
-    expected_sign : sign of the plant's gain
-    progress : called with the share done, 0 to 1
-    """
-    laws = integral_laws(
-        nominal,
-        plants,
-        sample_period_s,
-        max_sensitivity=max_sensitivity,
-        expected_sign=expected_sign,
-        progress=progress,
-    )
-    return min(laws, key=lambda robust: cost(robust.law))

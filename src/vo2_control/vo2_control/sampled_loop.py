@@ -93,7 +93,6 @@ class Margins:
     complementary_peak : Mt, largest |L/(1 + L)|; infinite if not stable
     gain_margin : smallest factor above 1 that the loop gain may grow by; infinite where none
     phase_margin_deg : at the gain crossover with the least; infinite where there is none
-    crossover_rad_s : highest frequency with |L| = 1; nan where there is none
     """
 
     stable: bool
@@ -102,7 +101,6 @@ class Margins:
     complementary_peak: float
     gain_margin: float
     phase_margin_deg: float
-    crossover_rad_s: float
 
 
 def closed_loop_radius(law: LinearLaw, plant: SampledPlant) -> float:
@@ -165,7 +163,6 @@ def loop_margins(law: LinearLaw, plant: SampledPlant, *, points: int = 1500) -> 
         complementary_peak=float((np.abs(loop) * sensitivity).max()) if stable else np.inf,
         gain_margin=float(gain_margin),
         phase_margin_deg=float(min(phases)) if phases else np.inf,
-        crossover_rad_s=float(angle[crossings[-1]] / law.sample_period_s) if crossings.size else np.nan,
     )
 
 

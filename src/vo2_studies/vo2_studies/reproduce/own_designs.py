@@ -14,16 +14,18 @@ allowed whose control effort stays below that of the PID.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from vo2_control.controller import LinearController, LinearLaw
-from vo2_control.discretise import RobustLaw
+from vo2_control.discretise import RobustLaw, robust_law
 from vo2_control.feedforward import feedforward_from_model
-from vo2_control.integral_design import central_plant, integral_laws
+from vo2_control.hinf import DesignRefused
+from vo2_control.integral_design import central_plant, covering_weight, integral_design
 from vo2_control.model_tuning import loop_slopes
 from vo2_control.pid import PidGains, pid_law
 from vo2_control.sampled_loop import ThermalLag, loop_margins
@@ -47,12 +49,15 @@ from vo2_studies.reproduce.peltier import (
 from vo2_studies.reproduce.pool import run_many
 
 __all__ = [
+    "BANDWIDTHS_RAD_S",
     "DESIGN_SEED",
+    "EFFORTS",
     "MAX_SENSITIVITY",
     "TIME_CONSTANT_SPREAD",
     "Ahead",
     "Designs",
     "feedforward",
+    "integral_laws",
     "own_designs",
 ]
 
@@ -68,6 +73,9 @@ RESPONSE_S = 0.5
 RATES_K_PER_S = (0.35, 0.4, 0.45, 0.5, 0.55)
 EFFORT_SHARE = 0.97
 """Of the PID's effort, that the design may use on the design devices: a reserve for the spread of other devices."""
+BANDWIDTHS_RAD_S = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4)
+EFFORTS = (0.1,)
+"""Grid of `integral_laws` [rad/s, um/A]: from far below the loop's reach to where no plant keeps its margins."""
 
 
 @dataclass(frozen=True)
@@ -190,6 +198,52 @@ def _tuned_pid(job: tuple[tuple[ThermalLag, ...], tuple[_Found, ...], float | No
 def _peak(law: LinearLaw, plants: tuple[ThermalLag, ...]) -> float:
     margins = [loop_margins(law, plant.sampled(PERIOD_S)) for plant in plants]
     return max(max(m.sensitivity_peak, m.complementary_peak) for m in margins)
+
+
+def integral_laws(
+    nominal: ThermalLag,
+    plants: Sequence[ThermalLag],
+    sample_period_s: float,
+    *,
+    max_sensitivity: float = 1.6,
+    expected_sign: int = 0,
+) -> list[RobustLaw]:
+    """Return every law of the grid whose loop keeps Ms and Mt below the limit at every plant, slowest first.
+
+    Parameters
+    ----------
+    nominal : plant of the synthesis, for instance `central_plant(plants)`
+    plants : identified ones, which the uncertainty must cover and the sampled loop must hold
+    max_sensitivity : limit of Ms and Mt; `worst` of each law are the margins where they are worst
+    sample_period_s : [s]
+    expected_sign : sign of the plant's gain
+
+    Raises
+    ------
+    DesignRefused : no design keeps the limits; says how many were tried and why the last one failed.
+    """
+    uncertainty = covering_weight(nominal, plants)
+    found = []
+    reason = "none was tried"
+    grid = list(itertools.product(BANDWIDTHS_RAD_S, EFFORTS))
+    for bandwidth, effort in grid:
+        design = integral_design(nominal, uncertainty, bandwidth_rad_s=bandwidth, effort=effort)
+        try:
+            # gamma has no meaning of its own here: the margins of the sampled loop decide
+            robust = robust_law(design, sample_period_s, largest_gamma=math.inf, expected_sign=expected_sign)
+        except DesignRefused as refused:
+            reason = str(refused)
+            continue
+        margins = [loop_margins(robust.law, plant.sampled(sample_period_s), points=400) for plant in plants]
+        worst = max(margins, key=lambda m: max(m.sensitivity_peak, m.complementary_peak))
+        peak = max(worst.sensitivity_peak, worst.complementary_peak)
+        if not worst.stable or peak > max_sensitivity:
+            reason = f"sensitivity peak {peak:.2f} at an identified plant, need at most {max_sensitivity:g}"
+            continue
+        found.append(replace(robust, worst=worst))
+    if not found:
+        raise DesignRefused(f"weights: none of {len(grid)} designs keeps the limits; the last: {reason}")
+    return found
 
 
 def own_designs(workers: int, progress: Callable[[str, float], None]) -> Designs:
