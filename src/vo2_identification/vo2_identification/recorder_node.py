@@ -7,7 +7,6 @@ import time
 from collections import Counter
 from collections.abc import Mapping
 from functools import lru_cache
-from importlib import import_module
 from operator import itemgetter
 from typing import Any
 
@@ -17,7 +16,7 @@ from rosbags.interfaces import Qos, QosDurability, QosReliability
 from vo2_interface.samples import MalformedSampleError, SampleReader, message_stamp_ns
 from vo2_interface.topics import DEFAULT_NAMESPACE, LATCHED_QOS, READ_QOS, SAMPLE_QOS
 
-from vo2_identification.bags.channels import JOINT_STATE
+from vo2_identification.bags.channels import JOINT_STATE, message_class
 from vo2_identification.bags.qos import contract_qos
 from vo2_identification.bags.writing import BagWriter, message_definition
 from vo2_identification.stream_check import StreamCheck
@@ -144,7 +143,7 @@ class Recorder(Node):
                 continue
             try:
                 message_definition(types[0])
-                _message_class(types[0])
+                message_class(types[0])
                 self._types[topic] = types[0]
             except ValueError as error:
                 self._passed_by[topic] = f"not recorded: {error}"
@@ -235,7 +234,7 @@ class Recorder(Node):
             self.destroy_subscription(before)
         message_definition(self._types[topic])  # refused now, not at the first message
         try:
-            kind = _message_class(self._types[topic])
+            kind = message_class(self._types[topic])
         except ValueError as error:
             raise ValueError(f"topic {topic}: {error}; leave it out of --topics") from None
         # `take` asks for the messages: nobody calls this
@@ -303,20 +302,11 @@ class Recorder(Node):
         )
 
 
-def _message_class(msgtype: str) -> Any:
-    """Return the class of a message type; raise `ValueError` where it is not installed."""
-    package, _, name = msgtype.partition("/msg/")
-    try:
-        return getattr(import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError):
-        raise ValueError(f"its type {msgtype} is not installed here") from None
-
-
 def _ignore(_data: bytes) -> None:
     """Stand for a callback where messages are asked for."""
 
 
 @lru_cache(maxsize=64)
 def _begins_with_stamp(msgtype: str) -> bool:
-    fields = _message_class(msgtype).get_fields_and_field_types()
+    fields = message_class(msgtype).get_fields_and_field_types()
     return next(iter(fields.values()), "") in {"std_msgs/Header", "builtin_interfaces/Time"}

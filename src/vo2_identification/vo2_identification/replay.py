@@ -7,7 +7,6 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -89,14 +88,16 @@ def _replay(bag: Outline, options: argparse.Namespace, ros_args: list[str]) -> i
 
 
 def _publish_all(node: Node, bag: Outline, options: argparse.Namespace, stopped: Callable[[], bool]) -> int:
+    from vo2_identification.bags.channels import message_class
     from vo2_identification.bags.playback import schedule
     from vo2_identification.replay_control import KEYS, ReplayControl
 
     publishers: dict[str, Publisher] = {}
     latched = []
     for topic, channel in list(bag.channels.items()):
-        kind = _message_class(channel.msgtype)
-        if kind is None:
+        try:
+            kind = message_class(channel.msgtype)
+        except ValueError:
             print(f"replay: {topic} is left out: {channel.msgtype} is not installed here", file=sys.stderr)
             del bag.channels[topic]
             continue
@@ -268,14 +269,6 @@ def _qos(channel: Channel) -> tuple[Any, bool]:
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
     return profile, latched
-
-
-def _message_class(msgtype: str) -> Any | None:
-    package, _, name = msgtype.partition("/msg/")
-    try:
-        return getattr(import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError):
-        return None
 
 
 def _parser() -> argparse.ArgumentParser:
