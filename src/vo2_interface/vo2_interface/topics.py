@@ -40,29 +40,19 @@ COMMANDER = "commander"
 ESTIMATE_CHANNELS = ("tip_deflection", "temperature_surrogate", "tip_deflection_bound")
 REFERENCE_CHANNELS = ("tip_deflection",)
 
-SAMPLE_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=100,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
-READ_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=20_000,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+
+def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=durability,
+    )
+
+
+SAMPLE_QOS = _reliable(100)
+READ_QOS = _reliable(20_000)
 """For subscriptions: a node that is not part of a lockstep loop, or is busy for a moment, loses no sample."""
-LATCHED_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=100,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-EMERGENCY_STOP_QOS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+LATCHED_QOS = _reliable(100, DurabilityPolicy.TRANSIENT_LOCAL)
+EMERGENCY_STOP_QOS = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """Of each publisher the last word only."""
