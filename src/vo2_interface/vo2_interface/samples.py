@@ -34,7 +34,6 @@ __all__ = [
     "SampleWriter",
     "message_stamp_ns",
     "stamp_message",
-    "to_stamp_ns",
 ]
 
 _NAN = float("nan")
@@ -70,11 +69,6 @@ def _checked_stamp_ns(seconds: int, nanoseconds: int) -> int:
             "its stamp is negative" if seconds < 0 else "its stamp has more nanoseconds than a second"
         )
     return seconds * _NS + nanoseconds
-
-
-def to_stamp_ns(stamp: Time) -> int:
-    """Return a message stamp as whole nanoseconds."""
-    return int(stamp.sec) * _NS + int(stamp.nanosec)
 
 
 def stamp_message(stamp_ns: int) -> Time:

@@ -48,11 +48,6 @@ class LoopTiming:
             self.skipped += skipped
             self.unanswered += not answered
 
-    @property
-    def missed_share(self) -> float:
-        """Share of the periods that were skipped or went unanswered."""
-        return (self.skipped + self.unanswered) / self.periods if self.periods else 0.0
-
     def latency_s(self, share: float) -> float:
         """Return the latency that this share of the answers stays within [s], NaN without any."""
         total = list(accumulate(self._counts))

@@ -85,7 +85,7 @@ def test_a_file_may_leave_almost_everything_open(tmp_path):
     assert device.channels == (HEATER_CURRENT, TIP_DEFLECTION)
     assert device.names == {HEATER_CURRENT: "drive_voltage", TIP_DEFLECTION: "extension"}
     assert device.units == {HEATER_CURRENT: "V", TIP_DEFLECTION: "m"}
-    assert not device.has_body and not device.has_resistance and device.has_structure
+    assert not device.has_body and not device.has_resistance
     assert device.sites is None and not device.measures_temperature
     assert not device.tells("responses", "extension", "range") and device.tells("drive", "operating")
     # loops lie over the drive: its operating span is as long as a film's transition in kelvin

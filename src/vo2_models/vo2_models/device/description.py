@@ -69,13 +69,7 @@ class DeviceParameter(Parameter):
 
 @dataclass(frozen=True)
 class Response:
-    """One measured response.
-
-    Attributes
-    ----------
-    channel, unit : as in recordings of this device
-    role : the contract's channel that it plays inside
-    """
+    """One measured response: `channel` and `unit` as in recordings of the device, `role` the contract's channel that it is."""
 
     channel: str
     unit: str
@@ -177,11 +171,6 @@ class DeviceDescription:
     def has_resistance(self) -> bool:
         """Whether there is a film response that is a resistance."""
         return any(r.role == RESISTANCE and r.unit == "ohm" for r in self.responses)
-
-    @property
-    def has_structure(self) -> bool:
-        """Whether there is a tip response."""
-        return any(r.role == TIP_DEFLECTION for r in self.responses)
 
     @property
     def is_one_loop(self) -> bool:

@@ -6,7 +6,6 @@ Both are strictly increasing. One pair may serve every play (chapters 3 and 6), 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -182,7 +181,8 @@ class TabulatedEnvelopes:
     Examples
     --------
     >>> import numpy as np
-    >>> envelopes = TabulatedEnvelopes.from_functions(np.arctan, lambda v: np.arctan(v + 1), -5, 5, knots=201)
+    >>> v = np.linspace(-5, 5, 201)
+    >>> envelopes = TabulatedEnvelopes(v, np.arctan(v), np.arctan(v + 1))
     >>> bool(abs(envelopes.rising(0.33) - np.arctan(0.33)) < 3e-4)
     True
     """
@@ -207,20 +207,6 @@ class TabulatedEnvelopes:
             for row in np.atleast_2d(values):
                 increasing(row, name)
             object.__setattr__(self, name, values)
-
-    @classmethod
-    def from_functions(
-        cls,
-        rising: Callable[[FloatArray], ArrayLike],
-        falling: Callable[[FloatArray], ArrayLike],
-        low: float,
-        high: float,
-        *,
-        knots: int = 257,
-    ) -> TabulatedEnvelopes:
-        """Tabulate two strictly increasing functions of an array on [low, high]."""
-        inputs = np.linspace(low, high, knots)
-        return cls(inputs, rising(inputs), falling(inputs))
 
     @property
     def plays(self) -> int | None:

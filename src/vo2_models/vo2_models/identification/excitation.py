@@ -12,7 +12,7 @@ from plain dictionaries.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +31,8 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+_CHIRP = 0.04
+"""Amplitude of a chirp of `composite_recording`, as a share of the range."""
 
 
 def _walls(walls: ArrayLike) -> Floats:
@@ -251,9 +253,6 @@ def composite_recording(
     duration_s: float,
     sample_period_s: float,
     seed: int | np.random.Generator = 0,
-    frequency_hz: tuple[float, float] | None = None,
-    chirp_share: float = 0.04,
-    step_shares: Sequence[float] = (1.0, 0.5, 0.25, 0.1),
 ) -> Excitation:
     """Return the shortest kind of recording on which every known effect leaves a mark of its own.
 
@@ -268,10 +267,6 @@ def composite_recording(
     duration_s : length of the whole [s]; the segments share it in fixed proportions
     sample_period_s : sampling of the device [s], which limits the chirps
     seed : for the random levels
-    frequency_hz : first and last frequency of the chirps [Hz]; by default from three cycles per chirp to 0.4
-        of the sampling rate
-    chirp_share : amplitude of a chirp as a share of the range
-    step_shares : sizes of the steps as shares of the range
 
     Raises
     ------
@@ -301,20 +296,21 @@ def composite_recording(
 
     def shaken(centre: float, name: str) -> Excitation:
         length = 0.05 * duration_s
-        band = frequency_hz or (3.0 / length, 0.4 / sample_period_s)
-        wave = chirp(cold + span * centre, chirp_share * span, band, length, sample_period_s)
+        # from three cycles per chirp to 0.4 of the sampling rate
+        band = 3.0 / length, 0.4 / sample_period_s
+        wave = chirp(cold + span * centre, _CHIRP * span, band, length, sample_period_s)
         return Excitation(
             wave, np.zeros(wave.size), np.full(wave.size, sample_period_s), ((name, 0, wave.size),)
         )
 
     steps = [
         level
-        for share in step_shares
+        for share in (1.0, 0.5, 0.25, 0.1)
         for level in np.clip((middle - share / 2, middle + share / 2, middle - share / 2), 0.0, 1.0)
     ]
     fan = first_order_reversal_fan(np.r_[np.linspace(begin / 2, end, 8), 1.0], reversals_only=True)[1:]
     random = random_levels(0.0, 1.0, 60, seed=seed)
-    margin = 1.5 * chirp_share
+    margin = 1.5 * _CHIRP
     return Excitation.joined(
         [
             paced([0, 1, 0], 0.14, "major loop, start"),

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from vo2_models.page.page import figure as figure_part
 
-__all__ = ["COLOURS", "LINES", "figure_html", "figure_svg", "new_figure"]
+__all__ = ["COLOURS", "figure_html", "figure_svg", "new_figure"]
 
 COLOURS = {
     "true": "#000000",
@@ -24,8 +24,6 @@ COLOURS = {
     "held_out": "#D55E00",
 }
 """From the palette of Okabe and Ito."""
-LINES = {"true": "-", "reference": ":", "composite": "-", "polynomial": "--"}
-"""A line style each, so that colour never carries a meaning alone."""
 
 _RC: dict[Any, Any] = {
     "font.size": 9,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vo2_models.page.figures import COLOURS, LINES, figure_html, new_figure
+from vo2_models.page.figures import COLOURS, figure_html, new_figure
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 from vo2_studies.demo.errors import PhaseData
@@ -21,6 +21,8 @@ __all__ = [
 
 _UM = 1e6
 _POINTS = 2500
+_LINES = {"true": "-", "reference": ":", "composite": "-", "polynomial": "--"}
+"""A line style each, so that colour never carries a meaning alone."""
 _TITLES = {"steps": "Steps", "sine": "Sinusoid", "multisine": "Two frequencies"}
 
 
@@ -57,7 +59,7 @@ def random_figure(data: dict[str, PhaseData]) -> str:
             first.time_s[shown], first.true_m[shown] * _UM, "-", color=COLOURS["true"], label="true", lw=1.4
         )
         for scheme, each in data.items():
-            style = {"color": COLOURS[scheme], "ls": LINES[scheme]}
+            style = {"color": COLOURS[scheme], "ls": _LINES[scheme]}
             left.plot(each.time_s[shown], each.estimate_m[shown] * _UM, lw=0.8, label=scheme, **style)
             error = np.sort(np.abs(each.estimate_m - each.true_m)) * _UM
             right.plot(error, np.linspace(0, 100, error.size), label=scheme, **style)
@@ -78,7 +80,7 @@ def tracking_figure(signal: str, data: dict[str, PhaseData]) -> str:
             k = _thinned(each.time_s.size)
             style: dict[str, Any] = {
                 "color": COLOURS[scheme],
-                "ls": LINES[scheme],
+                "ls": _LINES[scheme],
                 "lw": 0.8,
                 "label": scheme,
             }
