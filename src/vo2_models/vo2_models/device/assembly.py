@@ -181,8 +181,8 @@ def _guarded(name: str, arguments: Sequence[str], flag: str, otherwise: str) -> 
     ]
 
 
-def _sum(hook: str, *, start: str = "0.0") -> list[str]:
-    """Function that adds up what the effects give."""
+def _sum(hook: str, *, start: str = "0.0", by: str = "+=") -> list[str]:
+    """Function that adds up, or multiplies, what the effects give."""
     names = list(HOOKS[hook].takes)
     quantities = _plain(names)
     if hook == "conductance":
@@ -196,7 +196,7 @@ def _sum(hook: str, *, start: str = "0.0") -> list[str]:
     for record, block in _with_hook(hook):
         lines += [
             f"    if c[{block.active}] != 0.0:",
-            f"        total += {_call(record, block, hook, quantities)}",
+            f"        total {by} {_call(record, block, hook, quantities)}",
         ]
     return [*lines, "    return total", ""]
 
@@ -214,17 +214,6 @@ def _pair(hook: str) -> list[str]:
             "        other += b",
         ]
     return [*lines, "    return one, other", ""]
-
-
-def _product() -> list[str]:
-    names = list(HOOKS["lag"].takes)
-    lines = [*_guarded("lag", names, "lag", "1.0"), "    factor = 1.0"]
-    for record, block in _with_hook("lag"):
-        lines += [
-            f"    if c[{block.active}] != 0.0:",
-            f"        factor *= {_call(record, block, 'lag', _plain(names))}",
-        ]
-    return [*lines, "    return factor", ""]
 
 
 def _first(hook: str, otherwise: str, *, of: str = "") -> list[str]:
@@ -337,7 +326,7 @@ def source() -> str:
         parts += _sum(hook)
     for hook in ("feedback", "beside", "bending"):
         parts += _sum(hook)
-    parts += _pair("loss") + _pair("body") + _product()
+    parts += _pair("loss") + _pair("body") + _sum("lag", start="1.0", by="*=")
     parts += _first("follow", "equilibrium")
     parts += _first("latent", "1", of="lead(PHASE, x)")
     parts += _in_turn("drive", "current") + _in_turn("terminals", "value")

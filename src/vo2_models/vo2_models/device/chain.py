@@ -146,20 +146,8 @@ def run_chain(
                 before = seen
                 continue
             advance(
-                kind,
-                c,
-                x,
-                current_in,
-                h,
-                start + j * h,
-                packed_r,
-                packed_d,
-                play_r,
-                play_d,
-                levels,
-                domains,
-                metallic,
-            )
+                kind, c, x, current_in, h, start + j * h, packed_r, packed_d, play_r, play_d, levels, domains, metallic
+            )  # fmt: skip
             if c[_RESISTANCE] != 0.0:
                 x[S.RESISTANCE] = _film_resistance(kind, c, x, poly_r)
         if lazy:
@@ -251,14 +239,8 @@ def finish_film(kind, c, x, poly_d, rest, at_rest, film, out, every, result):
     `rest` (COLUMNS,) : the film at rest; `at_rest` (2,), `film` (n, 2) : what is added to log10 R and to the deflection
     [m]; of `every` samples the last is written to `result` (n // every, COLUMNS).
     """
-    c, poly_d, film, out, result, x = (
-        borrow(c),
-        borrow(poly_d),
-        borrow(film),
-        borrow(out),
-        borrow(result),
-        borrow(x),
-    )
+    c, poly_d, film = borrow(c), borrow(poly_d), borrow(film)
+    out, result, x = borrow(out), borrow(result), borrow(x)
     period = c[C.SAMPLE_PERIOD]
     x[S.FILM] = rest[5]
     x[S.OUT_D] = rest[8] + at_rest[1]

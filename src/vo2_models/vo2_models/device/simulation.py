@@ -247,12 +247,8 @@ class Simulation:
 
     def _samples_to_rest(self, dt: float, c: Floats) -> int:
         """Number of samples that the way to rest takes; 50 000 at the most."""
-        longest = longest_lag(c)
-        for key in self.active():
-            block = blocks()[key]
-            name = effects()[block.effect].slowest_time
-            longest = max(longest, c[block.places[name]]) if name else longest
-        return int(min((max(longest * RESTED, 20.0 * dt) + c[Coefficient.DEAD_TIME]) / dt, 50_000))
+        way = max(self.slowest_time() * RESTED, 20.0 * dt)
+        return int(min((way + c[Coefficient.DEAD_TIME]) / dt, 50_000))
 
     def run(
         self,

@@ -303,20 +303,8 @@ def search_side(direction, start, limit, u, tolerance, monotone, nearest, best, 
                         return True, near, abs(fn - u)
                     if (fn - u) * (ff - u) <= 0.0:
                         v = _root(
-                            near,
-                            fn,
-                            far,
-                            ff,
-                            u,
-                            tolerance,
-                            packed,
-                            block,
-                            members,
-                            constant,
-                            weight,
-                            active,
-                            order,
-                        )
+                            near, fn, far, ff, u, tolerance, packed, block, members, constant, weight, active, order
+                        )  # fmt: skip
                         return True, v, 0.0
                     if abs(ff - u) <= tolerance:
                         return True, far, abs(ff - u)

@@ -228,16 +228,8 @@ def sweep_egpi(v, packed, state, out):
             now = v[k]
             up = now > previous
             out[k] = _follow_own(
-                1.0 if up else -1.0,
-                now != previous,
-                now,
-                kind,
-                stride,
-                rising if up else falling,
-                radii,
-                weights,
-                memory,
-            )
+                1.0 if up else -1.0, now != previous, now, kind, stride, rising if up else falling, radii, weights, memory
+            )  # fmt: skip
             previous = now
     state[0] = previous
     state[1:] = memory
