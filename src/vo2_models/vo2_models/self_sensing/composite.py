@@ -15,7 +15,6 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.device import surrogate_of_temperature
 from vo2_models.device.description import preset
 from vo2_models.hysteresis import EGPI, RobustInverse
 from vo2_models.hysteresis.inverse_kernels import invert_update
@@ -125,7 +124,3 @@ class CompositeSelfSensing(SelfSensing):
         return composite_step(
             resistance, self._inverse.packed, self.deflection.packed, self._thermal, self.table, state
         )
-
-    def temperature_surrogate(self, temperature: Floats) -> Floats:
-        """Return the current [A] that holds the temperature [degC] at steady state (7.2)."""
-        return surrogate_of_temperature(self.device, temperature)
