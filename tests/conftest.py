@@ -2,33 +2,26 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-from vo2_interface.one_host import free_domain
+from own_domain import processes
 from vo2_interface.testing import hear_ctrl_c
 from vo2_models.device import truth
 from vo2_models.identification.excitation import damped_oscillation
 from vo2_models.model_file import save_model_parameters
 from vo2_models.workflow import fit
 from vo2_studies.demo.conductor import Conductor
-from vo2_studies.demo.graph import Graph
 
 hear_ctrl_c()
 
 
 @pytest.fixture
 def graph(tmp_path):
-    """Processes of this test; ended, whatever happens."""
-    before = dict(os.environ)
-    found = Graph(free_domain(), tmp_path / "logs")
-    os.environ.update(found.environment())
-    yield found
-    found.end()
-    os.environ.clear()
-    os.environ.update(before)
+    """Processes of this test."""
+    with processes(tmp_path / "logs") as found:
+        yield found
 
 
 @pytest.fixture

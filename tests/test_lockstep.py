@@ -3,9 +3,12 @@
 import hashlib
 import signal
 import time
+from contextlib import closing
 
 import pytest
+from own_domain import processes
 from vo2_identification.bags import raw_messages, read_bag
+from vo2_studies.demo.conductor import Conductor
 from vo2_studies.demo.graph import GraphError
 
 END_S = 1.5
@@ -67,24 +70,30 @@ def test_a_recorder_that_hears_nobody_is_told_with_its_topics(graph, conductor, 
         )
 
 
-def test_the_same_seed_gives_the_same_bag_bit_for_bit(graph, conductor, model_file, tmp_path):
-    bags = [tmp_path / name for name in ("one", "two")]
-    for bag in bags:
-        run_loop(graph, conductor, model_file, bag)
-    one, two = (contents(bag) for bag in bags)
+@pytest.fixture(scope="module")
+def bag(model_file, tmp_path_factory):
+    """What a run leaves in which every node starts in time."""
+    folder = tmp_path_factory.mktemp("in_time")
+    with processes(folder / "logs") as graph, closing(Conductor(graph)) as conductor:
+        run_loop(graph, conductor, model_file, folder / "bag")
+    return folder / "bag"
+
+
+def test_the_same_seed_gives_the_same_bag_bit_for_bit(bag, graph, conductor, model_file, tmp_path):
+    run_loop(graph, conductor, model_file, tmp_path / "again")
+    one, two = contents(bag), contents(tmp_path / "again")
     assert set(one) == set(SAMPLES)
     for topic in SAMPLES:
         assert len(one[topic]) == COUNT, topic
         assert one[topic] == two[topic], topic
-    recordings, problems = read_bag(bags[0])
+    recordings, problems = read_bag(bag)
     assert problems == []
     assert recordings["measurement"].time_s[0] == 1.0
 
 
-def test_an_estimator_that_starts_late_changes_nothing(graph, conductor, model_file, tmp_path):
-    run_loop(graph, conductor, model_file, tmp_path / "in_time")
+def test_an_estimator_that_starts_late_changes_nothing(bag, graph, conductor, model_file, tmp_path):
     run_loop(graph, conductor, model_file, tmp_path / "late", late_estimator=True)
-    in_time, late = contents(tmp_path / "in_time"), contents(tmp_path / "late")
+    in_time, late = contents(bag), contents(tmp_path / "late")
     for topic in ("/vo2/measurement", "/vo2/command"):
         assert len(in_time[topic]) == COUNT, topic
         assert in_time[topic] == late[topic], topic

@@ -225,8 +225,15 @@ def test_a_later_start_reclaims_the_memory_of_a_killed_process_and_of_no_other()
             assert kept <= segments().keys()
 
 
-@pytest.mark.parametrize("cold", [False, True], ids=["warm", "cold kernels"])
-@pytest.mark.parametrize("executable", ["plant", "estimator"])
+@pytest.mark.parametrize(
+    ("executable", "cold"),
+    [
+        pytest.param("plant", False, id="plant, warm", marks=pytest.mark.slow),
+        pytest.param("plant", True, id="plant, cold kernels"),
+        pytest.param("estimator", False, id="estimator, warm"),
+        pytest.param("estimator", True, id="estimator, cold kernels", marks=pytest.mark.slow),
+    ],
+)
 def test_one_ctrl_c_or_two_end_a_node_in_order(tmp_path, executable, cold):
     package = {"plant": "vo2_plant_sim", "estimator": "vo2_estimation"}[executable]
     environment = {**plain_environment(), "PYTHONUNBUFFERED": "1"}

@@ -28,18 +28,46 @@ def run(folder, code=RUN):
     return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
 
 
+def edit(file):
+    """Change what the hook of the skeleton does: the share that comes late is there at once."""
+    text = file.read_text()
+    changed = text.replace("return -share, share * late", "return 0.0 * share, share * late")
+    assert changed != text
+    file.write_text(changed)
+
+
+@pytest.mark.slow
 def test_the_skeleton_acts_and_an_edit_of_its_hook_is_seen(tmp_path):
+    """Two whole chains are compiled; the page `add_an_effect` compiles one, and the next test sees an edit without that."""
     assert main(["slow_anchor", "--output", str(tmp_path)]) == 0
     shown = run(tmp_path)
     assert shown.returncode == 0, shown.stderr
     early, late = map(float, shown.stdout.split())
     assert early == pytest.approx(0.95 + 0.05 * (1 - pow(2.718281828, -0.21)), abs=2e-3)
     assert late == pytest.approx(1.0 - 0.05 * pow(2.718281828, -3.0), abs=2e-3)
-    file = tmp_path / "slow_anchor.py"
-    file.write_text(
-        file.read_text().replace("return -share, share * late", "return 0.0 * share, share * late")
-    )
+    edit(tmp_path / "slow_anchor.py")
     assert float(run(tmp_path).stdout.split()[1]) == pytest.approx(late + 0.05, abs=1e-9)
+
+
+def test_the_hooks_of_the_skeleton_are_its_equation_and_their_edit_asks_for_other_kernels(tmp_path):
+    """What is compiled and kept stands in a folder that is named by what it was compiled from."""
+    code = (
+        "from vo2_models.device import chain\nfrom vo2_models.effects import effect\n"
+        "hooks, late = effect('slow_anchor').hooks, 0.0\n"
+        "for _ in range(20): late = hooks['advance'](1.0, 5e-3, late, 0.1)\n"
+        "print(*hooks['body'](late, 0.05), hooks['settled'](1.0), chain.run_chain._cache.cache_path)"
+    )
+    assert main(["slow_anchor", "--output", str(tmp_path)]) == 0
+    shown = [run(tmp_path, code) for _ in range(2)]
+    edit(tmp_path / "slow_anchor.py")
+    shown.append(run(tmp_path, code))
+    assert [each.stderr for each in shown] == [""] * 3
+    first, again, edited = (each.stdout.split() for each in shown)
+    assert [float(each) for each in first[:3]] == pytest.approx(
+        [-0.05, 0.05 * (1 - pow(2.718281828, -1)), 1.0]
+    )
+    assert again == first
+    assert float(edited[0]) == 0.0 and edited[3] != first[3]
 
 
 def test_the_skeleton_is_not_written_over_anything(tmp_path, capsys):
