@@ -1,6 +1,7 @@
 """The estimator as a node: the library's numbers, and one clear message for each kind of bad input."""
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -150,8 +151,9 @@ def test_a_reading_beyond_the_given_range_is_saturated_unless_the_check_is_off()
             assert math.isfinite(found) == off
 
 
-def dynamic(frequency):
-    """A model with a composite law and a mode of this frequency, 0 for none."""
+@cache
+def identified():
+    """A model with a composite law, fitted once."""
     from vo2_models.device import truth
     from vo2_models.identification.excitation import damped_oscillation
     from vo2_models.workflow import fit
@@ -160,11 +162,16 @@ def dynamic(frequency):
     recording = truth("integrated", seed=1, domains=1500).simulate(
         np.repeat(3.68e-3 + 4.81e-3 * share, 10), seed=1
     )
+    return fit(recording, "integrated")
+
+
+def dynamic(frequency):
+    """A model with a composite law and a mode of this frequency, 0 for none."""
     mode = {"frequency": frequency, "damping": 0.02, "share": 1.0, "sample_period": 1e-3}
     # what a later diagnosis reads is no parameter of the node
     declared = {parameter.name for parameter in model_parameters()}
     return {
-        **{name: value for name, value in fit(recording, "integrated").items() if name in declared},
+        **{name: value for name, value in identified().items() if name in declared},
         **{f"model.self_sensing.mode.{name}": value if frequency else 0.0 for name, value in mode.items()},
     }
 

@@ -30,7 +30,8 @@ def _read(recording: Recording, **factors: tuple[float, float]) -> Recording:
     return Recording(recording.time_s, {**recording.channels, **changed}, recording.device)
 
 
-@pytest.mark.parametrize("sign", [-1.0, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_room_half_a_kelvin_off_is_a_drift_of_the_ambient(parameters, sign) -> None:
     answer = diagnose([concealed(moved=((Coefficient.AMBIENT, 1.0, 0.5 * sign),))], parameters)
     assert answer.verdict == "drifted" and answer.effects == []
@@ -44,6 +45,7 @@ def test_a_room_half_a_kelvin_off_is_a_drift_of_the_ambient(parameters, sign) ->
     assert all("provenance" in limit for limit in plain["decision_limits"].values())
 
 
+@pytest.mark.slow
 def test_sensors_set_anew_are_told_apart(parameters) -> None:
     answer = diagnose(
         [_read(concealed(), **{TIP_DEFLECTION: (1.0, 3e-7), RESISTANCE: (1.02, 0.0)})], parameters
@@ -57,7 +59,14 @@ def test_sensors_set_anew_are_told_apart(parameters) -> None:
 
 def test_the_corrected_model_has_the_moved_constants(parameters, tmp_path) -> None:
     changed = _read(concealed(moved=WARMER), **{TIP_DEFLECTION: (1.03, 3e-7)})
-    write_results(study([changed], parameters), tmp_path)
+    answer = write_results(study([changed], parameters), tmp_path)
+    assert answer.verdict == "drifted" and answer.effects == []
+    moved = {m.constant: m for m in answer.moved}
+    assert {"thermal.ambient", "deflection.zero"} <= set(moved)
+    assert moved["thermal.ambient"].unit == "degC" and moved["thermal.ambient"].std < 0.05
+    plain = answer.to_dict()
+    validate(plain)
+    assert all("provenance" in limit for limit in plain["decision_limits"].values())
     corrected = load_model_parameters(tmp_path / "corrected_model.yaml")
     assert corrected["model.thermal.ambient"] == pytest.approx(
         parameters["model.thermal.ambient"] + 0.5, abs=0.08
@@ -92,7 +101,7 @@ def test_what_has_no_name_has_a_family(parameters) -> None:
     assert "18" in answer.effects[0].form
 
 
-@pytest.mark.parametrize("periods", [-1, 1])
+@pytest.mark.parametrize("periods", [-1, pytest.param(1, marks=pytest.mark.slow)])
 def test_commands_stamped_at_the_other_end_of_their_interval_are_found(parameters, periods) -> None:
     plain = concealed()
     place = np.clip(np.arange(len(plain)) + periods, 0, len(plain) - 1)
@@ -109,7 +118,7 @@ def test_a_dead_time_is_no_stamp(parameters) -> None:
     assert not any("command_delay" in text for text in answer.limits)
 
 
-@pytest.mark.parametrize("periods", [0.6, 1.5])
+@pytest.mark.parametrize("periods", [pytest.param(0.6, marks=pytest.mark.slow), 1.5])
 def test_commands_stamped_late_by_a_fraction_are_moved_to_where_they_act(parameters, periods) -> None:
     nominal = preset(DEVICE)
     stamped = np.random.default_rng(2).uniform(*sorted(nominal.operating_range), 80).repeat(15)

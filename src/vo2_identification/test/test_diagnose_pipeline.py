@@ -421,6 +421,7 @@ def test_gaps_in_which_the_film_went_elsewhere_name_nothing(parameters) -> None:
     assert any("long gaps" in text for text in answer.limits)
 
 
+@pytest.mark.slow
 def test_what_is_not_in_the_catalogue_is_unknown_and_still_modelled(parameters) -> None:
     plain = concealed()
     tip = plain[TIP_DEFLECTION]

@@ -84,6 +84,7 @@ def test_an_effect_beside_a_coarse_converter_is_named_too(parameters) -> None:
     assert answer.effects[1].parameters["share"].value == pytest.approx(0.05, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_converter_that_the_calibration_had_too_is_its_noise(coarse_model) -> None:
     answer = diagnose([concealed(COARSE)], coarse_model)
     assert answer.verdict == "agrees"

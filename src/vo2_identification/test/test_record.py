@@ -65,7 +65,7 @@ def counted(path):
         return {connection.topic: connection.msgcount for connection in bag.connections}
 
 
-@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("storage", ["mcap", pytest.param("sqlite3", marks=pytest.mark.slow)])
 def test_all_samples_of_two_fast_topics_are_recorded_with_their_stamps(graph, tmp_path, storage):
     # what the contract keeps, 100 samples, a busy machine can lose on the way: nothing the recorder could do
     plenty = QoSProfile(depth=5000, reliability=SAMPLE_QOS.reliability, durability=SAMPLE_QOS.durability)
@@ -367,7 +367,7 @@ def test_malformed_messages_are_left_out_and_counted(graph, tmp_path):
     assert "/vo2/measurement: 1 left out: it is cut short" in err
 
 
-@pytest.mark.parametrize("chosen", [("-a",), ("--regex", "^/rig/m")])
+@pytest.mark.parametrize("chosen", [pytest.param(("-a",), marks=pytest.mark.slow), ("--regex", "^/rig/m")])
 def test_topics_are_taken_as_they_appear(graph, tmp_path, chosen):
     with running(RECORD, "--output", tmp_path / "bag", *chosen) as process:
         time.sleep(1.0)

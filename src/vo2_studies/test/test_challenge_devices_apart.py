@@ -36,6 +36,7 @@ def test_another_day_of_a_device_with_limiting_loops_is_no_heat_loss():
     assert lag.now / lag.was - 1.0 == pytest.approx(-0.04, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_room_far_off_is_found():
     """3.5 K colder, where the simulation is straight over tenths of a kelvin."""
     found = answer("clusters", 601, 8)

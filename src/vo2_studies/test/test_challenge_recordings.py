@@ -162,11 +162,13 @@ def test_cases_of_drawn_devices_without_body(tmp_path):
     assert {plan.family for plan in plans} == set(FAMILIES)
     moved = {}
     for plan in plans[:30]:
-        case, again = settings.case(plan), settings.case(plan)
+        case = settings.case(plan)
         recording = case.test.measurement
         names = described(case.document, "bodyless").names
         drive, response = (recording[name] for name in names.values())
-        assert np.array_equal(response, again.test.measurement[list(names.values())[1]]), "the seed decides"
+        if plan.index < 3:  # one of each kind
+            again = settings.case(plan).test.measurement
+            assert np.array_equal(response, again[list(names.values())[1]]), "the seed decides"
         assert len(recording) == SAMPLES and np.all(np.isfinite(response))
         low, high = case.document["drive"]["operating"]
         if plan.effects != ("drive_gain_drift",):

@@ -30,7 +30,6 @@ from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from vo2_models.hysteresis.limiting_loop import GAMMA
 from vo2_models.numerics.kernel import kernel
@@ -290,6 +289,8 @@ class FadingLags(_Grid):
 @cache
 def _curves() -> tuple[Floats, Floats]:
     """Table of the proximity function over 0 to FADED, and of (1 + tanh) / 2 over -SATURATED to SATURATED."""
+    from scipy.special import expit  # loads slowly, and a node starts without it
+
     z = np.arange(int(FADED * FINE) + 2) / FINE
     near = 0.5 * (1.0 - np.sin(GAMMA * z)) * (1.0 + np.tanh(np.pi * (np.pi - 2.0 * z)))
     x = np.linspace(-SATURATED, SATURATED, int(2 * SATURATED * FINE / 20))
@@ -299,6 +300,8 @@ def _curves() -> tuple[Floats, Floats]:
 @lru_cache(maxsize=8)
 def _tables(elements: LocalMemory) -> tuple[float, float, Floats, Floats]:
     """Lowest temperature, step, and G_up and F_down on the grid, each (p, m)."""
+    from scipy.special import expit
+
     c, r, s = elements._each()
     reach = FAR * max(elements.scale)
     low, high = float(np.min(c - r)) - reach, float(np.max(c + r)) + reach
