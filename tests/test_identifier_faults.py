@@ -39,7 +39,7 @@ def words(rig):
     return rig.status("identifier: progress")[1].get("state", "")
 
 
-@pytest.mark.parametrize("kills", [3, pytest.param(30, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kills", [2, pytest.param(30, marks=pytest.mark.slow)])
 def test_a_plant_that_starts_anew_is_counted_once(kills, tmp_path, capfd):
     chance = random.Random(kills)
     arguments = [

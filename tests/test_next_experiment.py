@@ -100,7 +100,7 @@ def test_an_interrupted_experiment_leaves_a_readable_bag_and_the_safe_current(gr
     try:
         deadline = time.monotonic() + 60
         while time.monotonic() < deadline and process.poll() is None:
-            if sum(path.stat().st_size for path in (tmp_path / "next").glob("*.mcap")) > 500_000:
+            if sum(path.stat().st_size for path in (tmp_path / "next").glob("*.mcap")) > 200_000:
                 break
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)

@@ -200,7 +200,7 @@ def test_proposed_experiment_is_played_on_the_concealed_device(runner):
 
 
 def arguments(folder, *more):
-    return ["--cases", "4", "--seed", "3", "--output", str(folder), *more]
+    return ["--cases", "4", "--seed", "3", "--output", str(folder), "--samples", "2000", *more]
 
 
 def stand_in(monkeypatch, runner):
@@ -264,7 +264,7 @@ def test_quick_is_one_round_of_short_recordings(runner, monkeypatch, tmp_path):
 def test_failed_cases_are_tried_again_on_request(runner, monkeypatch, tmp_path):
     folder = tmp_path / "out"
     stand_in(monkeypatch, lambda **options: runner(fit="raise SystemExit(2)", **options))
-    short = ["--cases", "1", "--seed", "3", "--output", str(folder)]
+    short = ["--cases", "1", "--seed", "3", "--output", str(folder), "--samples", "2000"]
     assert command.main(short) == 0
     assert load_json(folder / "challenge.json")["failures"] == {"fit: exit status 2": 1}
     stand_in(monkeypatch, runner)
