@@ -35,12 +35,12 @@ def concealed(
     return measured(replace(concealing, coefficients=c).simulate(current, seed=seed + 100))
 
 
-def calibration(device_seed=SEED, device=DEVICE, effects=None) -> Recording:
+def calibration(device_seed=SEED, device=DEVICE, effects=None, *, samples=12_000) -> Recording:
     """Smaller and smaller loops at one rate, on which a lag and a wider loop look the same."""
     nominal = preset(device)
     low, high = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
     levels = damped_oscillation(np.linspace(low, high, 31), reversals_only=True)
-    rate = float(np.sum(np.abs(np.diff(levels)))) / (12_000 * nominal.sample_period)
+    rate = float(np.sum(np.abs(np.diff(levels)))) / (samples * nominal.sample_period)
     sweep = Excitation.at_rate(levels, rate_per_s=rate).sample(nominal.sample_period)
     current = surrogate_of_temperature(device, sweep)
     return truth(device, seed=device_seed, effects=effects or {}).simulate(current, seed=1)

@@ -17,7 +17,7 @@ ALL_ALONG = {"creep": {"share": 0.06, "time_constant": 0.2}}
 @pytest.fixture(scope="module")
 def known():
     """Calibration of a device that creeps, and the model that was fitted to it."""
-    recording = measured(calibration(SEED, DEVICE, ALL_ALONG))
+    recording = measured(calibration(SEED, DEVICE, ALL_ALONG, samples=6000))
     return recording, fit_model([recording], DEVICE, plays=12, self_sensing=False)[1]
 
 

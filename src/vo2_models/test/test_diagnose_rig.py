@@ -105,6 +105,7 @@ def test_agreement_says_what_the_residual_is_measured_by(unchanged, excess, chan
         assert told.endswith(f"{why}.")
 
 
+@pytest.mark.slow
 def test_a_large_change_differs(model):
     span = np.ptp(recorded(2)[TIP_DEFLECTION])
     found = study([recorded(2, change=lambda y: np.minimum(y, y.max() - 0.3 * span))], model)
@@ -188,6 +189,7 @@ def test_an_unnamed_effect_has_no_family_that_the_device_has_not(unchanged):
     assert family_of_unnamed(replace(problem, nominal=nominal), excess, []) == "structure"
 
 
+@pytest.mark.slow
 def test_a_gain_that_walks_is_the_sensor_s(model):
     """With one response a drift of its sensor shows as time and its own value, whatever the loop does there."""
     walking = recorded(2, change=lambda y: y * np.linspace(1.0, 1.3, y.size))
