@@ -171,6 +171,22 @@ def test_a_creep_on_top_is_found_and_what_the_law_misses_does_not_speak_against_
     assert freed.chi_square < stuck.chi_square and not freed.at_bound and "gain" not in freed.values[0]
 
 
+def test_what_the_law_misses_in_a_few_places_is_no_sign_of_something_else(model):
+    """As small loops that are none of its kind: a twelfth of the range for a tenth of the time, beside an effect and alone."""
+    span, time = np.ptp(recorded(2)[TIP_DEFLECTION]), np.arange(SIZE) * 0.1
+    missed = 0.08 * span * sum(np.exp(-((time - at) ** 2)) for at in (22.0, 51.0, 74.0))
+    found = study([recorded(2, change=lambda y: y * np.linspace(1.0, 1.3, SIZE) + missed)], model)
+    (effect,) = assemble_diagnosis(found).effects
+    assert effect.id == "sensor_gain_drift"
+    option = found.search.options[0]
+    everywhere = replace(found.limits, told=0.999)
+    assert adequacy_of(option, everywhere).left > 10.0 > 1.0 > adequacy_of(option, found.limits).left
+    assert "It is judged by the 75 % of the samples" in assemble_diagnosis(found).summary
+    alone = study([recorded(2, change=lambda y: y + missed)], model)
+    assert alone.located.own_misfit[TIP_DEFLECTION] > found.limits.unlike_misfit
+    assert not [e for e in assemble_diagnosis(alone).effects if e.id != "unknown"]
+
+
 def _shape(group: str) -> Shape:
     return Shape(TIP_DEFLECTION, group, group, 1.0, 1.0)
 

@@ -12,15 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.pairs import Option, trace
 from vo2_models.diagnosis.problem import LinearisedProblem, at_sensor
 from vo2_models.diagnosis.propagate_correction import as_sensed
 
-__all__ = ["Adequacy", "adequacy_of", "over_misfit", "sureness"]
+__all__ = ["Adequacy", "adequacy_of", "over_misfit", "shown", "sureness", "where_told"]
 
 Floats = NDArray[np.float64]
+CONCENTRATED = 4
+"""Rounds in which the samples that are told are chosen; the choice hardly changes after two."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +36,14 @@ class Adequacy:
     share : of the excess that is explained, 0 to 1
     left : excess power that is left, in noise powers of a sample, beyond what an equation a little off leaves of its own
     sigmas : how surely its effects act, see `sureness`; infinite where the values themselves show one
+    told : share of the samples that this is judged by
     """
 
     keys: tuple[str, ...]
     share: float
     left: float
     sigmas: float
+    told: float = 1.0
 
     def something_else(self, limits: Limits) -> float:
         """Return the probability that it is none of these effects.
@@ -66,10 +71,10 @@ def adequacy_of(option: Option, limits: Limits) -> Adequacy:
     gain = max(chosen.gain, 0.0)
     share = gain / max(gain + count * remaining, 1e-300)
     left = max(remaining - limits.equation * gain / count, 0.0)
-    over = over_misfit(option.final, option.final.residual - chosen.deviation)
-    if over:  # what this device's law misses of its own calibration is no sign of something else
-        left *= max(1.0 - (limits.own_misfit / max(over.values())) ** 2, 0.0)
-    return Adequacy(chosen.keys, share, left, sureness(option))
+    # what this device's law misses of its own calibration is no sign of something else
+    beyond, judged = _beyond_misfit(option, limits)
+    told = judged.final.count / option.final.count
+    return Adequacy(chosen.keys, share, left * max(beyond, default=1.0), sureness(judged), told)
 
 
 def over_misfit(problem: LinearisedProblem, residual: Floats) -> dict[str, float]:
@@ -86,23 +91,96 @@ def over_misfit(problem: LinearisedProblem, residual: Floats) -> dict[str, float
     -------
     channel -> r.m.s. distance over r.m.s. error; empty where that error is not known
     """
+    return {channel: _rms(values) for channel, values in _in_misfits(problem, residual).items()}
+
+
+def where_told(problem: LinearisedProblem, residual: Floats, share: float) -> NDArray[np.bool_]:
+    """Return the samples (N,) that a residual leaves nearest to the model: of each channel a share of those that count.
+
+    A law misses some places by far more than others, small loops that are none of its kind; constants that are moved for
+    them are wrong elsewhere. They are moved for the samples that are kept, and these are chosen anew, as in least trimmed
+    squares: Rousseeuw and Van Driessen, Data Min. Knowl. Discov. 12, 29, 2006.
+
+    Parameters
+    ----------
+    problem : the problem
+    residual : (N,) what is left, scaled as `problem.residual`
+    share : of the samples, 0 to 1
+    """
+    kept = problem.weight > 0
+    for _ in range(CONCENTRATED):
+        found = np.zeros_like(kept)
+        for channel, values in _in_misfits(problem, residual, kept).items():
+            where = np.zeros_like(kept)
+            where[problem.rows_of(channel)] = True
+            places = np.flatnonzero(where & (problem.weight > 0))
+            found[places[np.argsort(np.abs(values))[: int(share * places.size)]]] = True
+        kept = found
+    return kept
+
+
+def _beyond_misfit(option: Option, limits: Limits) -> tuple[list[float], Option]:
+    """Share of what is left of each channel of a device without body that is beyond twice its error on held-out calibration.
+
+    And the option with the samples that are judged. Where the effects bring the samples that they explain best, most of all,
+    from beyond the misfit to within it, these are judged: the rest is the law's.
+    """
+    final = option.final
+    after = final.residual - option.chosen.deviation
+    found = list(over_misfit(final, after).values())
+    if not found or max(found) <= limits.own_misfit:
+        return [0.0 for _ in found], option
+    kept = where_told(final, after, limits.told)
+    among = {c: kept[final.rows_of(c)][final.weight[final.rows_of(c)] > 0] for c in _in_misfits(final, after)}
+    end = norm.ppf(0.5 + 0.5 * limits.told)
+    normal = np.sqrt(1.0 - 2.0 * end * norm.pdf(end) / limits.told)  # of the same share of normal numbers
+    told, without = (
+        [_rms(values[among[channel]]) for channel, values in _in_misfits(final, residual, kept).items()]
+        for residual in (after, after + trace(final))
+    )
+    explained = [
+        before > limits.own_misfit * max(there / normal, 1.0)
+        for there, before in zip(told, without, strict=True)
+    ]
+    judged = [
+        min(there / normal, whole) if more else whole
+        for there, more, whole in zip(told, explained, found, strict=True)
+    ]
+    beyond = [
+        max(each**2 - limits.own_misfit**2, 0.0) / max(whole**2, 1e-12)
+        for each, whole in zip(judged, found, strict=True)
+    ]
+    return beyond, replace(option, final=final.restricted(kept)) if all(explained) else option
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
+def _in_misfits(
+    problem: LinearisedProblem, residual: Floats, kept: NDArray[np.bool_] | None = None
+) -> dict[str, Floats]:
+    """Channel -> residual (n,) of the samples that count over the r.m.s. error on held-out calibration.
+
+    Constants are moved: for all samples, or for those of `kept` (N,).
+    """
     model = problem.nominal.model
     if model.description.has_body:
         return {}
-    weights = problem.fit_nuisance(residual)[-len(problem.constants) :]
+    whole, fitted = problem, residual
+    if kept is not None:
+        problem, fitted = problem.restricted(kept), np.where(kept, residual, 0.0)
+    weights = problem.fit_nuisance(fitted)[-len(problem.constants) :]
     drifting = np.array([constant.drifts for constant in problem.constants])
-    residual = residual - problem.nuisance.thermal @ np.where(drifting, weights, 0.0)
+    residual = residual - whole.nuisance.thermal @ np.where(drifting, weights, 0.0)
     found = {}
-    for channel in dict.fromkeys(row.channel for row in problem.rows):
+    for channel in dict.fromkeys(row.channel for row in whole.rows):
         sensor = model.sensors.get(channel)
         if sensor is None or not sensor.misfit > 0.0:
             continue
-        squares, count = 0.0, 0
-        for row in (row for row in problem.rows if row.channel == channel):
-            counts = problem.weight[row.where] > 0
-            squares += float(np.sum(problem.in_its_unit(row, residual)[counts] ** 2))
-            count += int(np.count_nonzero(counts))
-        found[channel] = float(np.sqrt(squares / max(count, 1))) / (sensor.misfit * shown(problem, channel))
+        rows = [row for row in whole.rows if row.channel == channel]
+        values = [whole.in_its_unit(row, residual)[whole.weight[row.where] > 0] for row in rows]
+        found[channel] = np.concatenate(values) / (sensor.misfit * shown(whole, channel))
     return found
 
 

@@ -36,6 +36,8 @@ ANGLE = "rad"
 """Unit of a phase, which is no magnitude: nothing is neutral about 0."""
 PITCHES = 3
 """Pitches of a ripple that are tried, those which explain most of the residual."""
+COARSE = 2.0
+"""Least pitch of a ripple behind a coarse converter, in its steps: what is finer is the steps'."""
 MOST_LATE, ENOUGH = 200, 20_000
 """Longest delay that is looked for sample by sample, below what the ring of a late channel holds; samples that tell it."""
 CRESTS, MOST_CRESTS = 1.5, 100
@@ -400,7 +402,8 @@ def _pitches(problem: LinearisedProblem, signal: str, residual: Floats, finest: 
     r = r[::stride] - np.mean(r)
     values = [np.concatenate(each)[::stride] for each in (measured, simulated)]
     span = max(float(np.ptp(values[0])), CRESTS * finest)
-    finest = max(finest, span / MOST_CRESTS)
+    step = max(part.comb.get(signal, 0.0) for part in problem.parts)
+    finest = max(finest, span / MOST_CRESTS, COARSE * step)  # a converter's steps are no crests
     per_unit = np.arange(CRESTS / span, 1.0 / finest + 0.25 / span, 0.25 / span)
     power = np.max([[np.abs(r @ np.exp(-2j * np.pi * f * y)) for f in per_unit] for y in values], axis=0)
     found: list[float] = []

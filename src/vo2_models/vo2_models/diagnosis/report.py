@@ -660,6 +660,11 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
         )
     share = 1.0 - max(decision.remaining_excess, 0.0) / max(study.located.total_excess, 1e-9)
     text = f"{head} Left out: {' and '.join(names)}, which explains {100 * share:.0f} % of the excess."
+    if decision.adequacy and decision.adequacy.told < 1.0:
+        text += (
+            f" It is judged by the {100 * decision.adequacy.told:.0f} % of the samples that it explains best; what is left is "
+            "in the others, as where the law of this device is another one."
+        )
     if pairs:
         text += " Not separable with this excitation: " + ", ".join(" / ".join(p) for p in pairs) + "."
     return text + tail
