@@ -97,8 +97,8 @@ def test_an_estimator_that_starts_late_changes_nothing(bag, graph, conductor, mo
     for topic in ("/vo2/measurement", "/vo2/command"):
         assert len(in_time[topic]) == COUNT, topic
         assert in_time[topic] == late[topic], topic
-    # the recorder may meet the late node after its first samples
-    assert set(late["/vo2/estimate"]) <= set(in_time["/vo2/estimate"])
+    # the recorder may meet the late node after its first samples, or after all of them; the commands answer them
+    assert set(late.get("/vo2/estimate", [])) <= set(in_time["/vo2/estimate"])
 
 
 def test_a_bag_is_readable_after_sigterm_in_the_middle_of_a_run(graph, conductor, model_file, tmp_path):

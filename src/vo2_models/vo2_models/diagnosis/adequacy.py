@@ -109,13 +109,12 @@ def where_told(problem: LinearisedProblem, residual: Floats, share: float) -> ND
     """
     kept = problem.weight > 0
     for _ in range(CONCENTRATED):
-        found = np.zeros_like(kept)
+        left = problem.weight > 0
         for channel, values in _in_misfits(problem, residual, kept).items():
-            where = np.zeros_like(kept)
-            where[problem.rows_of(channel)] = True
-            places = np.flatnonzero(where & (problem.weight > 0))
-            found[places[np.argsort(np.abs(values))[: int(share * places.size)]]] = True
-        kept = found
+            rows = problem.rows_of(channel)
+            places = rows.start + np.flatnonzero(left[rows])
+            left[places[np.argsort(np.abs(values))[int(share * places.size) :]]] = False
+        kept = left
     return kept
 
 
