@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import patch
 
 from vo2_interface.one_host import free_domain
 from vo2_studies.demo.graph import Graph
@@ -21,12 +22,9 @@ def processes(logs: Path) -> Iterator[Graph]:
     ------
     Graph : this process has its environment as long as the context lasts
     """
-    before = dict(os.environ)
     found = Graph(free_domain(), logs)
-    os.environ.update(found.environment())
-    try:
-        yield found
-    finally:
-        found.end()
-        os.environ.clear()
-        os.environ.update(before)
+    with patch.dict(os.environ, found.environment()):
+        try:
+            yield found
+        finally:
+            found.end()

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
+from unittest.mock import patch
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
@@ -118,13 +119,10 @@ def bench(arguments: Sequence[str] = ()) -> Iterator[Bench]:
     ------
     Bench : closed at the end of the `with`
     """
-    before = dict(os.environ)
-    os.environ.update(one_host_environment(free_domain()))
-    join_graph(["test", *arguments])
-    found = Bench()
-    try:
-        yield found
-    finally:
-        found.close()
-        os.environ.clear()
-        os.environ.update(before)
+    with patch.dict(os.environ, one_host_environment(free_domain())):
+        join_graph(["test", *arguments])
+        found = Bench()
+        try:
+            yield found
+        finally:
+            found.close()

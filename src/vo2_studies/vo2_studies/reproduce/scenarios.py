@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
+from unittest.mock import patch
 
 import numpy as np
 import yaml
@@ -89,7 +89,7 @@ def run_loops(
     # a domain of its own, so that nothing else on this host is disturbed or disturbs
     graph = Graph(free_domain(), folder / "logs")
     end_s = _FIRST_STAMP_S + count * period
-    with _environment(graph.environment()):
+    with patch.dict(os.environ, graph.environment()):
         conductor = Conductor(graph)
         try:
             topics = [f"{loop.namespace}/{name}" for loop in loops for name in _SAMPLES]
@@ -191,14 +191,3 @@ def _listeners(loop: GraphLoop) -> dict[tuple[str, str], int]:
         (f"{space}/controller", f"{space}/undisturbed"): 1,
         (f"{space}/disturbance", f"{space}/command"): 2,
     }
-
-
-@contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    before = dict(os.environ)
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
