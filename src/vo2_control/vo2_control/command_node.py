@@ -104,6 +104,7 @@ class CommandNode(ManagedNode):
         self._waiting: tuple[int, tuple[float, ...]] | None = None
         self._answer = b""
         self._input_s = -math.inf
+        self._good_ns = 0
         self._source_reader = SampleReader(channels)
         self._reference_reader = SampleReader(REFERENCE_CHANNELS)
         self._current_reader = SampleReader(COMMAND_CHANNELS)
@@ -305,6 +306,7 @@ class CommandNode(ManagedNode):
             self._miss(stamp_ns, decision)
             return
         self._tell(before, decision, stamp_ns)
+        self._good_ns = stamp_ns
         self._publish(stamp_ns, decision.current_a)
 
     def _tell(self, before: str, decision: Decision, stamp_ns: int) -> None:
@@ -328,6 +330,9 @@ class CommandNode(ManagedNode):
         decision = self._supervisor.lost(stamp_ns * 1e-9, why)
         level = "error" if decision.mode == "safe" else "warn"
         self._diagnostics.report("input", level, decision.reason, stamp_ns=stamp_ns)
+        if self._wall and decision.mode == "holding":
+            # the plant counts from the sample that led to the current: it ends the hold even where this node comes late
+            stamp_ns = self._good_ns
         self._publish(stamp_ns, decision.current_a)
 
     def _publish(self, stamp_ns: int, current_a: float) -> None:

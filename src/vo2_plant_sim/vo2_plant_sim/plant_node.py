@@ -153,7 +153,9 @@ class PlantNode(Node):
     def _on_paced_command(self, data: bytes) -> None:
         """Wall time: take the newest command of the one that commands."""
         stamp_ns, (current, commander) = self._reader.read(data)
-        if self._gate.take(stamp_ns, current, commander, self._stamp_ns) is None:
+        before_ns = self._gate.answered_ns
+        if self._gate.take(stamp_ns, current, commander, self._stamp_ns) is None or stamp_ns == before_ns:
+            # refused, or a current that is held without a new sample: no answer to time
             return
         now = time.monotonic()
         late_s = now - self._published_at + 1e-9 * (self._stamp_ns - stamp_ns)
