@@ -166,7 +166,7 @@ def test_setting_the_time_of_day_disturbs_no_loop_in_wall_time(clock, model_file
         assert all(each.process.poll() is None for each in loop.processes.values())
     with capfd.disabled():
         print(
-            f"\ntime of day set by {steps} s: the tip left its set-point by at most {farthest / UM:.1f} um, the controller was "
-            f"silent for at most {silent:.1f} periods"
+            f"\ntime of day set by {steps} s: the tip left its set-point by at most {farthest / UM:.1f} um, a new sample was "
+            f"answered after at most {silent:.1f} periods"
         )
     assert farthest < 4 * UM

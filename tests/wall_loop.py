@@ -95,7 +95,7 @@ class WallLoop:
         return np.array([values[0] for _, values in self.rig.heard["/vo2/measurement"][since:]])
 
     def silence(self, since: int = 0) -> float:
-        """Return the longest time without a command, in periods, by the stamps of commands from number `since` on."""
+        """Return the longest time without a newly answered sample [periods], by the commands from number `since` on."""
         stamps = [stamp for stamp, _ in self.rig.heard["/vo2/command"][since:]]
         return max(np.diff(stamps), default=0) * 1e-9 * RATE_HZ
 
