@@ -24,9 +24,12 @@ def test_a_plant_at_the_safe_current_does_not_follow_until_it_moves():
     assert echo.followed
 
 
-def test_a_loop_that_ran_opens_after_three_samples_at_the_safe_current():
-    assert play([0.006] * 8, [0.006] * 5 + [0.0] * 3).followed
-    assert not play([0.006] * 9, [0.006] * 5 + [0.0] * 4).followed
+def test_a_loop_that_ran_opens_where_none_of_the_last_three_commands_flows():
+    assert not play([0.006] * 6, [0.006] * 5 + [0.0]).followed
+    # late by two periods, or told to go there
+    assert play([0.0, 0.0, 0.006, 0.006], [0.0] * 4).followed
+    assert not play([0.0, 0.0, 0.006, 0.006, 0.006], [0.0] * 5).followed
+    assert play([0.006, 0.006, 0.0, 0.0], [0.006, 0.006, 0.0, 0.0]).followed
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,8 @@ _STEP = 0.002
 class CommandEcho:
     """Compares commands with the measured current.
 
-    A plant that gets no commands goes to the safe current (the contract). So it does not listen when it stays there
-    though something else was commanded. Gains and lags of a driver do not matter.
+    A plant that gets no commands goes to the safe current (the contract). So it does not listen when it is there though
+    something else was commanded in each of the last periods. Gains and lags of a driver do not matter.
 
     Parameters
     ----------
@@ -45,7 +45,6 @@ class CommandEcho:
     def restart(self) -> None:
         """Forget what was commanded: only what the plant does from now on counts."""
         self.followed = self.behind = False
-        self._deaf = 0
         self._sent.clear()
 
     def command(self, stamp_ns: int, current_a: float) -> None:
@@ -62,11 +61,11 @@ class CommandEcho:
             abs(step) > self._step_a and abs(current_a - told[-1] - step) <= _SAME * abs(step)
             for step in steps
         )
-        away = min(abs(current - self._safe_a) for current in told) > self._away_a
-        if away and abs(current_a - self._safe_a) <= self._at_safe_a:
-            self._deaf += 1
-        else:
-            self._deaf = 0
+        if not abs(current_a - self._safe_a) <= self._at_safe_a:
             self.followed = True
-        if self._deaf > HOLD_SAMPLES:
-            self.followed = False
+        # a plant that came to the safe current of its own accord has left the loop, for one sample too: what an integrator
+        # makes of that sample is an excursion. One that is late still applies one of the last commands
+        elif min(abs(current - self._safe_a) for current in told) > self._away_a:
+            self.followed = self.followed and len(told) < HOLD_SAMPLES
+        else:
+            self.followed = True
