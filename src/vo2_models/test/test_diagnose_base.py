@@ -179,6 +179,18 @@ def test_what_acts_behind_the_film_may_share_its_simulation(name) -> None:
             TIP_DEFLECTION,
             {"sensor_ripple:tip_deflection": {"signal": TIP_DEFLECTION, "amplitude": 1e-6, "pitch": 5e-6}},
         ),
+        (TIP_DEFLECTION, {"transition_kinetics": {"time_constant": 8e-3}}),
+        (
+            RESISTANCE,
+            {
+                "transition_kinetics": {"time_constant": 8e-3},
+                "sensor_lag:film_resistance": {
+                    "signal": RESISTANCE,
+                    "time_constant": 4e-3,
+                    "sampled": 1.0,
+                },
+            },
+        ),
     ],
 )
 def test_a_sensor_shows_a_change_of_the_loop_as_it_shows_the_loop(channel, changes) -> None:
@@ -192,7 +204,8 @@ def test_a_sensor_shows_a_change_of_the_loop_as_it_shows_the_loop(channel, chang
     after = replace(nominal, corrections={channel: fold}).respond(current, dt, effects=changes, fine=False)
     column = fold(before.temperature)[:, None]
     given = channel == RESISTANCE or "ripple" in next(iter(changes))
-    film = nominal.respond(current, dt).channels[channel] if given else None
+    before_it = {key: values for key, values in changes.items() if not key.endswith(f":{channel}")}
+    film = nominal.respond(current, dt, effects=before_it).channels[channel] if given else None
     found = as_sensed(nominal.model.simulation.with_effects(changes), channel, column, dt, film)[:, 0]
     expected = after.channels[channel] - before.channels[channel]
     late = slice(200, None)
@@ -220,6 +233,7 @@ def test_only_the_last_of_several_steps_is_returned_where_no_more_is_asked_for()
         {},
         {"cantilever_resonance": {"share": 1.0, "frequency": 60.0, "damping": 0.01}},
         {"creep": {"share": 0.3, "time_constant": 0.1}},
+        {"transition_kinetics": {"time_constant": 8e-3}},
     ],
 )
 def test_the_tangent_of_the_loop_is_what_a_changed_loop_changes(effects) -> None:

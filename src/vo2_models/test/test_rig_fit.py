@@ -78,6 +78,24 @@ def test_an_open_file_is_fitted_in_lag_loop_and_sense(sign):
     assert not any("one rate" in note or "same size" in note for note in result.notes)
 
 
+def test_loops_that_relax_are_told_from_a_slow_drive():
+    """What has hysteresis comes late, what has none at once: a lag of the drive and a slow sensor make both late."""
+    drive = np.repeat(np.random.default_rng(6).uniform(*VOLTS, 150), 10)
+    law, keep = _law()(drive), np.exp(-1.0 / 4.0)
+    late = lfilter([1 - keep], [1, -keep], law, zi=[keep * law[0]])[0]
+    clean = late + 0.3 * np.ptp(law) * drive / VOLTS[1]
+    values = clean + np.random.default_rng(4).normal(0.0, 0.002 * np.ptp(clean), clean.size)
+    result, parameters = fit_model([_recording(drive, values)], _device().key)
+    name = "model.effects.transition_kinetics.time_constant"
+    assert parameters[name] == pytest.approx(0.04, rel=0.1)
+    assert any("relaxes with a time constant" in note for note in result.notes)
+    assert result.model.scalars["driver.dead_time"] == 0.0
+    # the simulation is what was fitted
+    error = _error(result.model, drive, values) * np.ptp(values)
+    assert error == pytest.approx(np.std(result.residuals[TIP_DEFLECTION][1:]), rel=0.05)
+    assert error < 0.006 * np.ptp(values)
+
+
 def test_without_a_lag_none_is_found_and_one_loop_is_said_to_be_one():
     drive = _drive(600, 150, shrink=False)
     result, _ = fit_model([_recording(drive, _measured(drive))], _device().key)

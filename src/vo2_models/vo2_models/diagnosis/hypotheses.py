@@ -169,6 +169,8 @@ def hypotheses(problem: LinearisedProblem, device: str, residual: Floats) -> lis
                 continue
             if any((record.id, signal) in part.evident for part in problem.parts):
                 continue
+            if (f"{record.id}:{signal}" if signal else record.id) in problem.nominal.model.effects:
+                continue  # the device has it, as it stands in the model
             starts, scales = _starts(problem, record, signal, device, residual)
             if starts:
                 fastest = 0.5 / max(part.dt for part in problem.parts)

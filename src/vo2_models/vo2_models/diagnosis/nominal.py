@@ -127,7 +127,7 @@ class Nominal:
 
     Attributes
     ----------
-    model : as fitted, without effects
+    model : as fitted, with the effects that the fit found
     parameters : the whole model file, for the corrected one
     digest : the calibration in short, None for a model file without it
     noise : channel -> noise in judged units; on a device without body level and colour of what its fit left of the
@@ -255,7 +255,11 @@ class Nominal:
         if settled:
             lead = int(np.ceil(10 * (longest_lag(c) + c[Coefficient.DEAD_TIME]) / dt))
             if not self.model.heats:  # no lag of a body that is longer than what effects add
-                lead = min(lead + int(np.ceil(10 * _longest_before_film(effects or {}) / dt)), current.size)
+                lead = min(
+                    lead
+                    + int(np.ceil(10 * _longest_before_film({**self.model.effects, **(effects or {})}) / dt)),
+                    current.size,
+                )
             current = np.concatenate([np.full(lead, current[0]), current])
         steps = FINE if fine and _between_samples(chain, dt, held=self.model.heats) else 1
         if steps > 1:
@@ -339,8 +343,11 @@ def _between_samples(chain: Simulation, dt: float, *, held: bool) -> bool:
     """Whether what happens between two samples counts: a late or slow sensor or a fast mode feels it, a slow driver makes it.
 
     Where the drive is not held but moves on, any share of a sample makes it late, and a response goes straight from one
-    sample to the next: that is all that acts behind the film takes from it.
+    sample to the next: that is all that acts behind the film takes from it. Where the loops relax, they were fitted behind
+    a held drive.
     """
+    if not held and any("follow" in effects()[blocks()[key].effect].hooks for key in chain.active()):
+        return False
     for key in chain.active():
         block = blocks()[key]
         record = effects()[block.effect]

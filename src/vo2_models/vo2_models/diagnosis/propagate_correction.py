@@ -166,6 +166,7 @@ def as_sensed(
     film : (n,) what the sensor is given, for a resistance, in log10 ohm, and for a sensor that is not linear; of a resistance
         d log10 S[R] = S[R d log10 R] / S[R]
     """
+    columns = _late(simulation, columns, dt)
     if channel == TIP_DEFLECTION:
         columns = _through_structure(simulation, columns, dt)
     records = [effects()[key.partition(":")[0]] for key in simulation.active() if key.endswith(f":{channel}")]
@@ -191,6 +192,17 @@ def as_sensed(
         step = SMALL * np.ptp(level) / np.maximum(np.max(np.abs(columns), axis=0), 1e-300)
         changed = (sensed(level + step * columns) - sensed(level - step * columns)) / (2.0 * step)
     return changed / sensed(level) if channel == RESISTANCE else changed
+
+
+def _late(simulation: Simulation, columns: Floats, dt: float) -> Floats:
+    """Changes (n, k) of a transition's equilibrium as they are in its output, which may follow late."""
+    if not any("follow" in effects()[key.partition(":")[0]].hooks for key in simulation.active()):
+        return columns
+    c = simulation.prepared(dt)
+    out = np.array(columns.T, order="C")
+    for series in out:
+        late_correction(c, np.zeros(state_size()), series)
+    return np.ascontiguousarray(out.T)
 
 
 def _through_structure(simulation: Simulation, columns: Floats, dt: float) -> Floats:

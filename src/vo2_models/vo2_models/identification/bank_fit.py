@@ -18,9 +18,20 @@ from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.levenberg_marquardt import levenberg_marquardt
 from vo2_models.identification.sensitivity import play_sensitivities
 
-__all__ = ["BankFit", "BankShape", "ShapeRules", "evaluate", "fit_bank", "shape_rules", "starting_shape"]
+__all__ = [
+    "BankFit",
+    "BankShape",
+    "Late",
+    "ShapeRules",
+    "evaluate",
+    "fit_bank",
+    "shape_rules",
+    "starting_shape",
+]
 
 Floats = NDArray[np.float64]
+Late = Callable[[Floats], Floats]
+"""What becomes of (n, k) outputs of plays that arrive late; linear, and 1 at rest."""
 
 # bounds of the shape parameters: slope [1/K], half width [K], weight relative to the channel's range
 _SLOPE = (0.03, 5.0)
@@ -121,9 +132,9 @@ class BankFit:
     jacobian: Floats = field(repr=False)
     iterations: int
 
-    def residual_of(self, temperature: Floats, values: Floats) -> Floats:
+    def residual_of(self, temperature: Floats, values: Floats, late: Late | None = None) -> Floats:
         """Return what the fitted shape leaves of other values (n,) along a temperature (n,), NaN where missing."""
-        return values - evaluate(self.shape, temperature)[0]
+        return values - evaluate(self.shape, temperature, late)[0]
 
 
 def starting_shape(temperature: Floats, values: Floats, *, plays: int, degree: int = 3) -> BankShape:
@@ -190,17 +201,20 @@ def shape_rules(plays: int, size: int, values: Floats) -> ShapeRules:
     return ShapeRules(lower, upper, largest, prior)
 
 
-def evaluate(shape: BankShape, temperature: Floats) -> tuple[Floats, Floats]:
+def evaluate(shape: BankShape, temperature: Floats, late: Late | None = None) -> tuple[Floats, Floats]:
     """Return the model's output (n,) and its derivatives (n, 4 N + m) along a temperature (n,) [degC].
 
     Parameters
     ----------
     shape : in fitting coordinates
+    late : what the plays, but not the polynomial, go through
     """
     slope, width, weight = (np.exp(v) for v in (shape.log_slope, shape.log_width, shape.log_weight))
     plays = slope.size
     jacobian = np.empty((temperature.size, 4 * plays + shape.polynomial.size))
     play_sensitivities(temperature, slope, shape.centre, width, weight, jacobian)
+    if late:
+        jacobian[:, : 4 * plays] = late(jacobian[:, : 4 * plays])
     x = (temperature - POLYNOMIAL_CENTRE) / POLYNOMIAL_SCALE
     jacobian[:, 4 * plays :] = np.vander(x, shape.polynomial.size, increasing=True)
     # a weighted play is its own derivative by the logarithm of its weight
@@ -214,6 +228,7 @@ def fit_bank(
     *,
     iterations: int = 120,
     tolerance: float = 3e-5,
+    late: Late | None = None,
 ) -> BankFit:
     """Fit a bank to `values` (n,) over `temperature` (n,) [degC] from a start.
 
@@ -224,6 +239,7 @@ def fit_bank(
     start : where to begin; also the centre of a weak prior that keeps unused plays where they are
     iterations : most steps
     tolerance : relative decrease of the squared residual at which the fit ends
+    late : what the plays go through, see `evaluate`
 
     Returns
     -------
@@ -241,7 +257,7 @@ def fit_bank(
     rules = shape_rules(plays, theta.size, values)
 
     def gap(vector: Floats) -> tuple[Floats, Callable[[], Floats]]:
-        model, jacobian = evaluate(BankShape.of(vector, plays), temperature)
+        model, jacobian = evaluate(BankShape.of(vector, plays), temperature, late)
         return (model - values)[ok], lambda: jacobian[ok]
 
     found = levenberg_marquardt(
@@ -255,5 +271,5 @@ def fit_bank(
         tolerance=tolerance,
     )
     shape = BankShape.of(found.theta, plays)
-    model, jacobian = evaluate(shape, temperature)
+    model, jacobian = evaluate(shape, temperature, late)
     return BankFit(shape, values - model, jacobian, found.steps)

@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import nnls
 
 from vo2_models.hysteresis.fitting_kernels import regressors
-from vo2_models.identification.bank_fit import POLYNOMIAL_CENTRE, POLYNOMIAL_SCALE, BankShape
+from vo2_models.identification.bank_fit import POLYNOMIAL_CENTRE, POLYNOMIAL_SCALE, BankShape, Late
 
 __all__ = ["FOLDS", "DictionaryFit", "PlayDictionary", "fit_dictionary", "fold_of", "nonnegative_weights"]
 
@@ -126,6 +126,7 @@ def fit_dictionary(
     degree: int,
     most: int = 4000,
     fold: NDArray[np.int64] | None = None,
+    late: Late | None = None,
 ) -> DictionaryFit:
     """Fit weights and polynomial; the ridge is the one that predicts held-out blocks best.
 
@@ -137,6 +138,7 @@ def fit_dictionary(
     most : samples used, spread evenly over those with a value
     dictionary : plays on a grid
     fold : (n,) part that each sample is held out with, -1 for none; by default blocks of time
+    late : what the plays, but not the polynomial, go through
 
     Returns
     -------
@@ -151,7 +153,8 @@ def fit_dictionary(
         raise ValueError(f"values: found {good.size} measured, need at least {2 * FOLDS}")
     rows = good[np.unique(np.linspace(0, good.size - 1, min(good.size, most)).astype(int))]
     powers = np.vander((path[rows] - POLYNOMIAL_CENTRE) / POLYNOMIAL_SCALE, degree + 1, increasing=True)
-    columns = np.hstack([dictionary.features(path)[rows], powers])
+    features = dictionary.features(path)
+    columns = np.hstack([(late(features) if late else features)[rows], powers])
     centre = float(np.mean(values[rows]))
     target = values[rows] - centre
     plays = dictionary.centre.size

@@ -1,6 +1,7 @@
 """How a rig's loop follows its drive in time and sense, chosen by what predicts held-out parts of the calibration.
 
-The drive is laid over the loop coordinate, delayed or followed with one lag or two, and given to a convex fit of plays. The
+The drive is laid over the loop coordinate, delayed or followed with one lag or two, and given to a convex fit of plays, of
+which what has hysteresis may follow with a lag of its own while the memoryless part does not (`transition_kinetics`). The
 sense (which end of the drive is the lower saturation), the lags or the delay, and the degree of the memoryless part are
 those with the smallest error on blocks that the fit was not given; what is more complicated must be better by a margin.
 Whether the drive heats, and heats the film itself, is `rig_heat`'s.
@@ -8,6 +9,7 @@ Whether the drive heats, and heats the film itself, is `rig_heat`'s.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,10 +18,11 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from vo2_models.device.description import DeviceDescription
+from vo2_models.identification.bank_fit import Late
 from vo2_models.identification.grid import GriddedRecording
 from vo2_models.identification.play_dictionary import PlayDictionary, fit_dictionary
 
-__all__ = ["LAGS", "RigDynamics", "after", "choose_dynamics", "loop_path"]
+__all__ = ["LAGS", "RigDynamics", "after", "choose_dynamics", "loop_path", "relaxing"]
 
 Floats = NDArray[np.float64]
 COLD = -300.0
@@ -27,6 +30,8 @@ COLD = -300.0
 DEGREES = (1, 3)
 _MARGIN = 0.98
 """A lag, a delay or a higher degree must lower the held-out error to this share of what does without it."""
+_RELAXED = 0.8
+"""The same for loops that relax: it is another kind of model, and it smooths what a grid of plays makes of a sharp loop."""
 LAGS = 2.0 ** np.arange(-1, 9)
 _DELAYS = (1, 2, 3, 4, 6, 8, 12, 16)
 """Lags and delays tried first, in sample periods."""
@@ -42,7 +47,7 @@ class RigDynamics:
     Attributes
     ----------
     falling : whether the lower saturation is at the upper end of the drive
-    lag, delay : [s]; at most one of them is not zero
+    lag, delay, relaxation : [s], of the drive, of the drive, of what has hysteresis behind it; at most one is not zero
     slow_share, slow : part of what the drive does that arrives through a second, slower lag [1], and that lag [s]
     degree : of the memoryless part
     score : sum over the responses of the logarithm of the held-out error
@@ -51,6 +56,7 @@ class RigDynamics:
     falling: bool = False
     lag: float = 0.0
     delay: float = 0.0
+    relaxation: float = 0.0
     slow_share: float = 0.0
     slow: float = 0.0
     degree: int = DEGREES[0]
@@ -109,14 +115,52 @@ def after(u: Floats, dynamics: RigDynamics, dt: float, start: float) -> Floats:
     )
 
 
+def relaxing(
+    grids: Sequence[GriddedRecording], device: DeviceDescription, dynamics: RigDynamics
+) -> Late | None:
+    """Return what plays along `loop_path` go through where they relax: tau ds/dt = s_eq - s; None where they do not.
+
+    As `transition_kinetics` does in the simulation: within a sample period s_eq goes as the loop coordinate does behind a
+    held drive, with the time constant of the device, s_eq = e1 + (e0 - e1) exp(-t / tau_0). Each recording begins settled.
+
+    Parameters
+    ----------
+    grids : recordings, of one sample period
+    device : completed description
+    dynamics : with the time constant
+    """
+    tau = dynamics.relaxation
+    if not tau:
+        return None
+    dt, first = grids[0].dt, dynamics.lag or device.time_constant
+    if abs(first - tau) < 1e-6 * tau:
+        first = tau * (1.0 + 1e-6)
+    left = np.exp(-dt / tau)
+    before = first / (first - tau) * (np.exp(-dt / first) - left)
+    numerator, denominator = [1.0 - left - before, before], [1.0, -left]
+    ends = np.cumsum([0, *(grid.current.size + 1 for grid in grids)])
+
+    def late(columns: Floats) -> Floats:
+        out = columns.copy()
+        for begin, end in itertools.pairwise(ends):
+            rest = (left + before) * columns[begin + 1 : begin + 2]
+            out[begin + 1 : end] = lfilter(numerator, denominator, columns[begin + 1 : end], axis=0, zi=rest)[
+                0
+            ]
+        return out
+
+    return late
+
+
 def choose_dynamics(
     grids: Sequence[GriddedRecording],
     device: DeviceDescription,
     values: Mapping[str, Floats],
     *,
     rates: bool = True,
+    relaxes: bool = True,
 ) -> RigDynamics:
-    """Return sense, lag or delay, and degree with the smallest held-out error.
+    """Return sense, lag, delay or relaxation, and degree with the smallest held-out error.
 
     Parameters
     ----------
@@ -124,20 +168,31 @@ def choose_dynamics(
     device : without body
     values : role -> (n,) judged values along `loop_path`, NaN where missing
     rates : whether the drive has different rates; at one rate a lag is a wider loop, and none is looked for
+    relaxes : whether what has hysteresis may relax; only plays are fitted behind that
     """
     low, high = sorted(device.steady_temperature(v) for v in device.operating_range)
     coarse, fine = (PlayDictionary.over(low, high, **grid) for grid in (_COARSE, _FINE))
 
-    def tried(dynamics: RigDynamics, plays: PlayDictionary = coarse) -> RigDynamics:
-        path = loop_path(grids, device, dynamics)
+    plays = coarse
+
+    def tried(dynamics: RigDynamics) -> RigDynamics:
+        path, late = loop_path(grids, device, dynamics), relaxing(grids, device, dynamics)
         fits = [
-            fit_dictionary(plays, path, y, degree=dynamics.degree, most=_SAMPLES) for y in values.values()
+            fit_dictionary(plays, path, y, degree=dynamics.degree, most=_SAMPLES, late=late)
+            for y in values.values()
         ]
         return replace(dynamics, score=float(sum(np.log(max(fit.misfit, 1e-300)) for fit in fits)))
 
-    def best(simple: RigDynamics, others: Sequence[RigDynamics]) -> RigDynamics:
+    def best(simple: RigDynamics, others: Sequence[RigDynamics], margin: float = _MARGIN) -> RigDynamics:
         better = min((tried(one) for one in others), key=lambda one: one.score, default=simple)
-        return better if better.score < simple.score + len(values) * np.log(_MARGIN) else simple
+        return better if better.score < simple.score + len(values) * np.log(margin) else simple
+
+    def slow(name: str) -> RigDynamics:
+        start = best(found, [replace(found, **{name: lag}) for lag in lengths])
+        for _ in range(2 if start is not found else 0):
+            near = [tried(replace(start, **{name: getattr(start, name) * step})) for step in _STEPS]
+            start = min([start, *near], key=lambda one: one.score)
+        return start
 
     dt, longest = grids[0].dt, max(grid.current.size for grid in grids)
     lengths = [k * dt for k in LAGS if k < 0.1 * longest] if rates else []
@@ -148,12 +203,9 @@ def choose_dynamics(
     found = best(found, [replace(found, degree=degree) for degree in DEGREES if degree != found.degree])
     if not rates:
         return found
-    lags = [replace(found, lag=lag) for lag in lengths]
+    # coarse plays leave more of a sharp loop than a lag does
+    plays = fine
+    found = tried(found)
     delays = [replace(found, delay=k * dt) for k in _DELAYS if k < 0.1 * longest]
-    lagged = best(found, lags)
-    for _ in range(2 if lagged.lag else 0):
-        finer = [tried(replace(lagged, lag=lagged.lag * step)) for step in _STEPS]
-        lagged = min([lagged, *finer], key=lambda one: one.score)
-    delayed = best(found, delays)
-    # coarse plays tell that there is one, but hardly which
-    return min((tried(one, fine) for one in dict.fromkeys((lagged, delayed))), key=lambda one: one.score)
+    simple = min(slow("lag"), best(found, delays), key=lambda one: one.score)
+    return best(simple, [slow("relaxation")], _RELAXED) if relaxes else simple

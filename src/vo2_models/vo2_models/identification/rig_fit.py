@@ -15,7 +15,7 @@ from vo2_models.diagnosis.noise import LONGEST
 from vo2_models.hysteresis.law import Law
 from vo2_models.hysteresis.law_fit import FITTED
 from vo2_models.hysteresis.play_bank import PlayBank
-from vo2_models.identification.bank_fit import BankFit, BankShape, evaluate, fit_bank
+from vo2_models.identification.bank_fit import BankFit, BankShape, Late, evaluate, fit_bank
 from vo2_models.identification.bank_uncertainty import bank_uncertainty
 from vo2_models.identification.completion import noise_of_recordings
 from vo2_models.identification.coverage import coverage_of, misfit_note
@@ -38,7 +38,7 @@ from vo2_models.identification.play_dictionary import (
     fit_dictionary,
     fold_of,
 )
-from vo2_models.identification.rig_dynamics import choose_dynamics
+from vo2_models.identification.rig_dynamics import choose_dynamics, relaxing
 from vo2_models.identification.rig_heat import RigHeat, choose_heat, free_run, heat_path, heat_scalars
 from vo2_models.recording import RESISTANCE, Recording
 
@@ -50,6 +50,8 @@ _GRIDS = ({"centres": 20, "widths": 10}, {"centres": 60, "widths": 8})
 _REFINED = (3, 8, 24)
 """Numbers of the heaviest plays that Levenberg-Marquardt moves, tried against all of them as they stand."""
 _STEPS = 40
+_RELAXING = ("", PLAYS, AUTO)
+"""Choices of a law that leave plays, the only ones that are fitted behind a relaxation."""
 _SHORT, _LONGEST = 2_000, 20_000
 """Samples below which all held-out parts judge, and above which the plays are not moved: the convex fit stands."""
 
@@ -100,7 +102,7 @@ def fit_rig(
     values = {role: _along(grids, role) for role in roles}
     say("lag, delay and sense", 0.05)
     coverage = coverage_of(grids, device)
-    dynamics = choose_dynamics(grids, device, values, rates=not coverage.one_rate)
+    dynamics = choose_dynamics(grids, device, values, rates=not coverage.one_rate, relaxes=law in _RELAXING)
     heat = RigHeat("drive", dynamics)
     if not coverage.one_rate:  # over one rate another coordinate is another shape of the loop
         say("heat in the film", 0.2)
@@ -109,9 +111,18 @@ def fit_rig(
     ends = (high, low) if dynamics.falling else (low, high)
     if ends != device.operating_range:
         device = device.running(ends)
-    model = DeviceModel(device.key, scalars=heat_scalars(heat, device))
+    kinetics = (
+        {"transition_kinetics": {"time_constant": float(dynamics.relaxation)}} if dynamics.relaxation else {}
+    )
+    model = DeviceModel(device.key, scalars=heat_scalars(heat, device), effects=kinetics)
+    late = relaxing(grids, device, dynamics)
     path = heat_path(grids, device, heat)[0] if model.heats else film_path(model, grids, True)
     notes = [*coverage.notes, *heat.notes(device)]
+    if late:
+        notes.append(
+            f"what has hysteresis relaxes with a time constant of {dynamics.relaxation:.3g} s, the memoryless part does not "
+            "(transition_kinetics in the model)"
+        )
     laws: dict[str, Law] = {}
     sensors: dict[str, SensorModel] = {}
     residuals: dict[str, Floats] = {}
@@ -120,7 +131,7 @@ def fit_rig(
         channel = device.names[role]
         say(f"loop of {channel}", 0.4 + 0.5 * k / len(roles))
         fold = folds_of_recordings([grid.current for grid in grids], fold_of(np.isfinite(values[role])))
-        fit = _loop(path, values[role], dynamics.degree, fold, law)
+        fit = _loop(path, values[role], dynamics.degree, fold, law, late)
         notes.append(f"{channel}: {fit.words}")
         section = SECTIONS[role]
         laws[section] = fit.law
@@ -192,21 +203,26 @@ def _along(grids: Sequence[GriddedRecording], role: str) -> Floats:
     return np.concatenate(parts)
 
 
-def _loop(path: Floats, values: Floats, degree: int, fold: NDArray[np.int64], law: str) -> LoopLaw:
+def _loop(
+    path: Floats, values: Floats, degree: int, fold: NDArray[np.int64], law: str, late: Late | None
+) -> LoopLaw:
     """Return the law that was asked for, or the one that predicts held-out parts best."""
     if law and law not in (PLAYS, AUTO):
         return fit_loop_law(law, path, values, fold)
-    plays = _plays(path, values, degree, fold)
-    names = () if law == PLAYS else tuple(FITTED) if law == AUTO else ("preisach",)
+    plays = _plays(path, values, degree, fold, late)
+    names = () if law == PLAYS or late else tuple(FITTED) if law == AUTO else ("preisach",)
     others = [fit_loop_law(name, path, values, fold) for name in names]
     return better_of(plays, others)
 
 
-def _plays(path: Floats, values: Floats, degree: int, fold: NDArray[np.int64]) -> LoopLaw:
+def _plays(path: Floats, values: Floats, degree: int, fold: NDArray[np.int64], late: Late | None) -> LoopLaw:
     """Return the bank of plays that predicts held-out parts best."""
     inside = path[path > path.min()]
     dictionaries = [PlayDictionary.over(float(inside.min()), float(inside.max()), **grid) for grid in _GRIDS]
-    fits = [fit_dictionary(dictionary, path, values, degree=degree, fold=fold) for dictionary in dictionaries]
+    fits = [
+        fit_dictionary(dictionary, path, values, degree=degree, fold=fold, late=late)
+        for dictionary in dictionaries
+    ]
     convex = min(fits, key=lambda one: one.misfit)
     count = int(np.count_nonzero(np.isfinite(values)))
     # one part tells enough of a long recording; of a short one all are needed
@@ -221,18 +237,20 @@ def _plays(path: Floats, values: Floats, degree: int, fold: NDArray[np.int64]) -
             continue
         gaps = []
         for part in judged:
-            moved = fit_bank(path, np.where(fold == part, np.nan, values), start, iterations=_STEPS)
-            gaps.append(moved.residual_of(path, values)[(fold == part) & seen])
+            moved = fit_bank(
+                path, np.where(fold == part, np.nan, values), start, iterations=_STEPS, late=late
+            )
+            gaps.append(moved.residual_of(path, values, late)[(fold == part) & seen])
         error = float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)))
         if error < MARGIN * least:
             least, chosen = error, start
     misfit = convex.misfit * least / reference
     if chosen is not None:
-        fit = fit_bank(path, values, chosen, iterations=_STEPS)
+        fit = fit_bank(path, values, chosen, iterations=_STEPS, late=late)
         words = f"{chosen.centre.size} plays, moved, and a polynomial of degree 3"
     else:
         shape = convex.shape(degree=degree)
-        output, jacobian = evaluate(shape, path)
+        output, jacobian = evaluate(shape, path, late)
         fit = BankFit(shape, values - output, jacobian, 0)
         words = f"{shape.centre.size} plays on a grid and a polynomial of degree {degree}"
     return LoopLaw(fit.shape.bank(), misfit, fit.residual, words, bank_uncertainty(fit))

@@ -32,7 +32,14 @@ from vo2_models.identification.bank_fit import evaluate
 from vo2_models.identification.grid import GriddedRecording
 from vo2_models.identification.loop_law import FEWEST_RECORDINGS, folds_of_recordings
 from vo2_models.identification.play_dictionary import PlayDictionary, fit_dictionary, fold_of
-from vo2_models.identification.rig_dynamics import COLD, LAGS, RigDynamics, after, loop_path
+from vo2_models.identification.rig_dynamics import (
+    COLD,
+    LAGS,
+    RigDynamics,
+    after,
+    loop_path,
+    relaxing,
+)
 from vo2_models.recording import RESISTANCE
 
 __all__ = ["RigHeat", "choose_heat", "free_run", "heat_path", "heat_scalars"]
@@ -206,9 +213,10 @@ def choose_heat(
 
     dt, longest = grids[0].dt, max(grid.current.size for grid in grids)
     lags = [0.0, *(k * dt for k in LAGS if k < 0.1 * longest)]
-    over_drive, cold = tried(over_drive), replace(found, delay=0.0, falling=False)
+    over_drive, lagged = tried(over_drive), replace(found, relaxation=0.0)
+    cold = replace(lagged, delay=0.0, falling=False)
     drive = min(
-        (over_drive, _with_lags(tried, "drive", found, lags, dt * longest)), key=lambda one: one.score
+        (over_drive, _with_lags(tried, "drive", lagged, lags, dt * longest)), key=lambda one: one.score
     )
     if drive.score >= over_drive.score + np.log(_TWO_LAGS):
         drive = over_drive
@@ -240,19 +248,21 @@ def _judged(
     heat = replace(heat, gain=gain)
     inside = path[path > COLD]
     plays = PlayDictionary.over(float(inside.min()), float(inside.max()), **_PLAYS)
-    degree = heat.dynamics.degree
+    degree, late = heat.dynamics.degree, relaxing(grids, device, heat.dynamics)
     inner = folds_of_recordings([grid.current for grid in grids], parts) >= 0
     errors, between = [], []
     for part in np.unique(parts[parts >= 0]):
         left_out = parts == part
         between.append(bool(inner[left_out].any()))
-        fit = fit_dictionary(plays, path, np.where(left_out, np.nan, values), degree=degree, most=_SAMPLES)
+        fit = fit_dictionary(
+            plays, path, np.where(left_out, np.nan, values), degree=degree, most=_SAMPLES, late=late
+        )
         shape = fit.shape(degree=degree)
         if heat.kind == "film":
             model = DeviceModel(device.key, scalars=heat_scalars(heat, device), resistance=shape.bank())
             output = free_run(model, grids, RESISTANCE)
         else:
-            output = evaluate(shape, path)[0]
+            output = evaluate(shape, path, late)[0]
         gap = (values - output)[left_out]
         error = float(np.sqrt(np.mean(gap**2)))
         errors.append(min(max(error, 1e-300), _WORST) if np.isfinite(error) else _WORST)
