@@ -106,6 +106,36 @@ def test_agreement_says_what_the_residual_is_measured_by(unchanged, excess, chan
 
 
 @pytest.mark.slow
+def test_a_device_whose_loops_relax_agrees_and_has_no_second_relaxation():
+    """What the fit found is part of the device: it comes to rest with it, and a slower sensor is another thing."""
+
+    def relaxing(seed, slow=0.0):
+        rng = np.random.default_rng(seed)
+        volts = np.repeat(rng.uniform(0.0, 10.0, 90), 10)
+        stroke = LAW(volts)
+        for lag in (4.0, slow):
+            keep = np.exp(-1.0 / lag) if lag else 0.0
+            stroke = lfilter([1 - keep], [1, -keep], stroke, zi=[keep * stroke[0]])[0]
+        stroke += np.ptp(stroke) * 2e-3 * rng.standard_normal(volts.size)
+        return Recording(
+            0.1 * np.arange(volts.size), {HEATER_CURRENT: volts, TIP_DEFLECTION: stroke}, "stack"
+        )
+
+    model = fit_model([relaxing(1)], DEVICE.key)[1]
+    nominal, later = Nominal.from_parameters(model), relaxing(2)
+    assert list(nominal.model.effects) == ["transition_kinetics"]
+    told = nominal.respond(later[HEATER_CURRENT], 0.1, settled=True).channels[TIP_DEFLECTION]
+    simulated = nominal.model.simulate(later[HEATER_CURRENT], dt=0.1, noise=False, settled=True)
+    assert np.allclose(told, simulated[TIP_DEFLECTION], atol=1e-6 * np.ptp(told))
+    assert study([later], model).decision.verdict == "agrees"
+    found = study([relaxing(2, slow=2.0)], model)
+    assert found.decision.verdict == "differs"
+    assert "transition_kinetics" not in [one.key for one in found.search.candidates]
+    (named,) = assemble_diagnosis(found).effects
+    assert "sensor_lag" in (named.id, *named.siblings)
+
+
+@pytest.mark.slow
 def test_a_large_change_differs(model):
     span = np.ptp(recorded(2)[TIP_DEFLECTION])
     found = study([recorded(2, change=lambda y: np.minimum(y, y.max() - 0.3 * span))], model)
