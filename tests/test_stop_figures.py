@@ -70,6 +70,6 @@ def test_an_emergency_stop_takes_few_samples_whatever_is_commanded(count):
     )
     # half of the stops meet no stall, however busy the machine is
     assert p50 <= 1
-    # on a machine that does other work the last per mille is that of its scheduler
-    if load <= (os.cpu_count() or 1):
+    # twenty stops have no last per mille, and on a machine that does other work it is its scheduler's
+    if count >= 1000 and load <= (os.cpu_count() or 1):
         assert p999 <= MOST_SAMPLES
