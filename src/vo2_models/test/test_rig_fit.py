@@ -1,11 +1,15 @@
 """Fit of a device that is only a file: no current, no heat, no resistance."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from vo2_models.device.description import described
 from vo2_models.hysteresis.preisach import PreisachOperator
 from vo2_models.identification.model_fit import fit_model
+from vo2_models.identification.rig_dynamics import RigDynamics, relaxing
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 VOLTS = (0.0, 60.0)
@@ -94,6 +98,22 @@ def test_loops_that_relax_are_told_from_a_slow_drive():
     error = _error(result.model, drive, values) * np.ptp(values)
     assert error == pytest.approx(np.std(result.residuals[TIP_DEFLECTION][1:]), rel=0.05)
     assert error < 0.006 * np.ptp(values)
+
+
+def test_each_recording_relaxes_from_rest_in_its_own_time():
+    device, dynamics = _device(), RigDynamics(relaxation=0.05)
+    rng = np.random.default_rng(3)
+    grids = [SimpleNamespace(dt=dt, current=rng.normal(size=n)) for dt, n in ((0.01, 40), (0.03, 25))]
+    columns = rng.normal(size=(67, 3))
+    found = relaxing(grids, device, dynamics)(columns)
+    for grid, rows in zip(grids, (slice(0, 41), slice(41, 67)), strict=True):
+        assert np.array_equal(found[rows], relaxing([grid], device, dynamics)(columns[rows]))
+        first, left = columns[rows][1], np.exp(-grid.dt / 0.05)
+        assert np.allclose(found[rows][1], first)  # settled
+        # the loop coordinate is quick against the samples here: a step relaxes by itself
+        step = np.r_[np.zeros((1, 1)), np.zeros((1, 1)), np.ones((grid.current.size - 1, 1))]
+        shown = relaxing([grid], replace(device, time_constant=1e-9), dynamics)(step)[1:, 0]
+        assert np.allclose(shown, 1.0 - left ** np.arange(shown.size))
 
 
 def test_without_a_lag_none_is_found_and_one_loop_is_said_to_be_one():

@@ -169,8 +169,6 @@ def hypotheses(problem: LinearisedProblem, device: str, residual: Floats) -> lis
                 continue
             if any((record.id, signal) in part.evident for part in problem.parts):
                 continue
-            if (f"{record.id}:{signal}" if signal else record.id) in problem.nominal.model.effects:
-                continue  # the device has it, as it stands in the model
             starts, scales = _starts(problem, record, signal, device, residual)
             if starts:
                 fastest = 0.5 / max(part.dt for part in problem.parts)
@@ -178,6 +176,8 @@ def hypotheses(problem: LinearisedProblem, device: str, residual: Floats) -> lis
                 widest = float(np.ptp(_values(problem, signal))) / CRESTS if signal else np.inf
                 latest = LATEST * min(part.dt for part in problem.parts)
                 one = Hypothesis(record, signal, tuple(starts), scales, fastest, slowest, widest, latest)
+                if one.key in problem.nominal.model.effects:
+                    continue  # the device has it, as it stands in the model
                 inside = tuple(
                     {n: min(v, one.bounds(n)[1]) if one.logarithmic(n) else v for n, v in start.items()}
                     for start in starts

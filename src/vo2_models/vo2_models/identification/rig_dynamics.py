@@ -9,7 +9,6 @@ Whether the drive heats, and heats the film itself, is `rig_heat`'s.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -121,32 +120,35 @@ def relaxing(
     """Return what plays along `loop_path` go through where they relax: tau ds/dt = s_eq - s; None where they do not.
 
     As `transition_kinetics` does in the simulation: within a sample period s_eq goes as the loop coordinate does behind a
-    held drive, with the time constant of the device, s_eq = e1 + (e0 - e1) exp(-t / tau_0). Each recording begins settled.
+    held drive, s_eq = e1 + (e0 - e1) exp(-t / tau_0), with tau_0 the lag of the drive or the device's own. Each recording
+    begins settled.
 
     Parameters
     ----------
-    grids : recordings, of one sample period
+    grids : recordings, m samples together
     device : completed description
-    dynamics : with the time constant
+    dynamics : with the time constant tau [s]
+
+    Returns
+    -------
+    function of (m + recordings, k) outputs of plays, one row before each recording, or None
     """
     tau = dynamics.relaxation
     if not tau:
         return None
-    dt, first = grids[0].dt, dynamics.lag or device.time_constant
-    if abs(first - tau) < 1e-6 * tau:
+    first = dynamics.lag or device.time_constant
+    if abs(first - tau) < 1e-6 * tau:  # the two terms below go over into one
         first = tau * (1.0 + 1e-6)
-    left = np.exp(-dt / tau)
-    before = first / (first - tau) * (np.exp(-dt / first) - left)
-    numerator, denominator = [1.0 - left - before, before], [1.0, -left]
-    ends = np.cumsum([0, *(grid.current.size + 1 for grid in grids)])
 
     def late(columns: Floats) -> Floats:
-        out = columns.copy()
-        for begin, end in itertools.pairwise(ends):
+        out, begin = columns.copy(), 0
+        for grid in grids:
+            own = slice(begin + 1, begin + 1 + grid.current.size)
+            left = np.exp(-grid.dt / tau)
+            before = first / (first - tau) * (np.exp(-grid.dt / first) - left)
             rest = (left + before) * columns[begin + 1 : begin + 2]
-            out[begin + 1 : end] = lfilter(numerator, denominator, columns[begin + 1 : end], axis=0, zi=rest)[
-                0
-            ]
+            out[own], _ = lfilter([1.0 - left - before, before], [1.0, -left], columns[own], axis=0, zi=rest)
+            begin = own.stop
         return out
 
     return late
@@ -171,9 +173,7 @@ def choose_dynamics(
     relaxes : whether what has hysteresis may relax; only plays are fitted behind that
     """
     low, high = sorted(device.steady_temperature(v) for v in device.operating_range)
-    coarse, fine = (PlayDictionary.over(low, high, **grid) for grid in (_COARSE, _FINE))
-
-    plays = coarse
+    plays, sharp = (PlayDictionary.over(low, high, **grid) for grid in (_COARSE, _FINE))
 
     def tried(dynamics: RigDynamics) -> RigDynamics:
         path, late = loop_path(grids, device, dynamics), relaxing(grids, device, dynamics)
@@ -204,7 +204,7 @@ def choose_dynamics(
     if not rates:
         return found
     # coarse plays leave more of a sharp loop than a lag does
-    plays = fine
+    plays = sharp
     found = tried(found)
     delays = [replace(found, delay=k * dt) for k in _DELAYS if k < 0.1 * longest]
     simple = min(slow("lag"), best(found, delays), key=lambda one: one.score)
