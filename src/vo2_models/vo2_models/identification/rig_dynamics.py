@@ -35,6 +35,8 @@ LAGS = 2.0 ** np.arange(-1, 9)
 _DELAYS = (1, 2, 3, 4, 6, 8, 12, 16)
 """Lags and delays tried first, in sample periods."""
 _STEPS = (0.7, 0.85, 1.15, 1.4)
+_PATIENCE = 3
+"""Longer lags are left out once as many in a row were no better than the best: the error has one minimum, or two close by."""
 _COARSE, _FINE = {"centres": 12, "widths": 7}, {"centres": 20, "widths": 10}
 _SAMPLES = 2500
 
@@ -184,7 +186,11 @@ def choose_dynamics(
         return replace(dynamics, score=float(sum(np.log(max(fit.misfit, 1e-300)) for fit in fits)))
 
     def best(simple: RigDynamics, others: Sequence[RigDynamics], margin: float = _MARGIN) -> RigDynamics:
-        better = min((tried(one) for one in others), key=lambda one: one.score, default=simple)
+        better, since = simple, 0
+        for one in map(tried, others):
+            better, since = (one, 0) if one.score < better.score else (better, since + 1)
+            if since == _PATIENCE:
+                break
         return better if better.score < simple.score + len(values) * np.log(margin) else simple
 
     def slow(name: str) -> RigDynamics:
