@@ -84,6 +84,28 @@ class Part:
             return step
         return step / (np.log(10.0) * 10.0 ** self.observed[channel])
 
+    def rounding(self, channel: str, predicted: Floats) -> Floats | float:
+        """Standard deviation that a coarse converter adds where (n,) is predicted: its mean one, or more where that is rounded by more.
+
+        On average over all values it is `comb_level`. A device that rests does not go through all values: what it rests at
+        stays rounded by up to half a step, which is no excess.
+
+        Parameters
+        ----------
+        channel : one of `channels`
+        predicted : (n,) in judged units, before the converter
+        """
+        mean = self.comb_level(channel)
+        if channel not in self.comb:
+            return mean
+        step, exponential = self.comb[channel], channel == RESISTANCE
+        seen = self.observed[channel][self.valid[channel]]
+        angle = 2.0 * np.pi / step
+        phase = np.angle(np.mean(np.exp(1j * angle * (10.0**seen if exponential else seen)))) / angle
+        value = 10.0**predicted if exponential else predicted
+        off = value - phase - step * np.round((value - phase) / step)
+        return np.maximum(mean, np.abs(off) / (np.log(10.0) * value if exponential else 1.0))
+
     @property
     def size(self) -> int:
         """Number of samples."""

@@ -342,7 +342,7 @@ def linearise_problem(
         elif row.channel == HEATER_CURRENT and part.read_late:
             rough = between_samples(measured, noise.level)
         weight[row.where] = _reach(counts, noise) / np.sqrt(
-            1.0 + (rough**2 + part.comb_level(row.channel) ** 2) / noise.level**2
+            1.0 + (rough**2 + part.rounding(row.channel, predicted) ** 2) / noise.level**2
         )
         shape, path = shapes.get(row.channel), response.temperature
         misfit, inside = (
