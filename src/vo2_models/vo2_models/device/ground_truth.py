@@ -24,6 +24,8 @@ __all__ = ["DOMAINS", "SPREAD", "TruthDevice", "truth"]
 DOMAINS = 4000
 """Number of switching domains of a device."""
 
+_NEAR_UM, _STEPS = 1e-11, 20
+"""Distance from the published range at which the bending is found [um], and most of Newton's steps to there."""
 SPREAD = {
     "heating": 0.6,
     "heating_sd": 0.05,
@@ -125,8 +127,6 @@ def _draw(nominal: DeviceDescription, seed: int | None, spread: float) -> dict[s
 @lru_cache(maxsize=8)
 def _calibrated(name: str, domains: int) -> np.ndarray:
     """Coefficients of the nominal device, computed so that its major loop spans the published ranges."""
-    from scipy.optimize import fsolve  # loads slowly, and a node starts without it
-
     nominal = preset(name)
     sites = nominal.sites
     if sites is None:
@@ -159,7 +159,16 @@ def _calibrated(name: str, domains: int) -> np.ndarray:
         tip = np.array([truth_deflection(c, t, s) for t, s in path])
         return np.array([tip.min(), tip.max()]) * 1e6 - np.array(nominal.deflection_extent) * 1e6
 
-    scale = 2.0 / nominal.length**2
-    start = np.array([nominal.deflection_extent[0], nominal.deflection_range]) * scale
-    c[Coefficient.CURVATURE], c[Coefficient.BENDING] = fsolve(miss, start)
+    # Newton's steps, here because `scipy.optimize` takes longer to load than a node may take to start
+    found = np.array([nominal.deflection_extent[0], nominal.deflection_range]) * 2.0 / nominal.length**2
+    for _ in range(_STEPS):
+        left = miss(found)
+        if np.max(np.abs(left)) < _NEAR_UM:
+            break
+        step = 1e-6 * np.max(np.abs(found))
+        slopes = np.column_stack([(miss(found + step * one) - left) / step for one in np.eye(2)])
+        found = found - np.linalg.solve(slopes, left)
+    else:
+        raise ValueError(f"device {nominal.id}: found no bending that spans {nominal.deflection_extent} m")
+    miss(found)
     return c

@@ -30,6 +30,8 @@ INSIDE = (1.0, 0.995, 0.98, 0.95, 0.9, 0.8, 0.6)
 """Shares of the values that a limit may leave as they are."""
 SLOWEST = 3.0
 """Longest time constant that is looked for, in lengths of the longest recording."""
+SHORTEST_LAG = 0.1
+"""Shortest one, in sample periods."""
 MAGNITUDE_STEP = 0.05
 """A step that matters of a magnitude, as a share of its typical size."""
 ANGLE = "rad"
@@ -109,16 +111,18 @@ class Hypothesis:
     def bounds(self, name: str) -> tuple[float, float]:
         """Physical range, of a frequency, a time constant, a delay and a pitch what the samples can show of it."""
         parameter = self.parameter(name)
-        upper = float(parameter.upper or 0.0)
+        lower, upper = float(parameter.lower or 0.0), float(parameter.upper or 0.0)
         if parameter.unit == "Hz":
             upper = min(upper, self.fastest)
         elif parameter.unit == "s" and self.logarithmic(name):
             upper = min(upper, self.slowest)
+            if name == "time_constant":  # what is over at once is a gain
+                lower = max(lower, SHORTEST_LAG * 0.5 / self.fastest)
         elif self._is_pitch(name):
             upper = min(upper, self.widest)
         elif "delay" in self.record.hooks:
             upper = min(upper, self.latest)
-        return float(parameter.lower or 0.0), upper
+        return lower, upper
 
     def _is_pitch(self, name: str) -> bool:
         """Whether it is the pitch of a ripple along the signal's values."""

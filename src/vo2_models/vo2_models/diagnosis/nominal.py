@@ -59,6 +59,8 @@ FILMS = 8
 """Simulations of the film that are kept: hypotheses about what is behind it ask for the same ones again."""
 FINE = 4
 """Steps of a sample where it counts what happens in between."""
+FAR = 1e15
+"""Value at which a simulation that runs away is held: beyond those of any instrument, also in pascals or counts."""
 THERMAL = {
     "driver.dead_time": Coefficient.DEAD_TIME,
     "thermal.ambient": Coefficient.AMBIENT,
@@ -409,17 +411,14 @@ def span_of(device: str) -> dict[str, float]:
 
 
 def _finite(out: Floats) -> Floats:
-    if not (
-        float(np.min(out, initial=0.0)) > -1e9 and float(np.max(out, initial=0.0)) < 1e9
-    ):  # not a number, too
-        out = np.nan_to_num(out, nan=1e9, posinf=1e9, neginf=-1e9).clip(-1e9, 1e9)
+    if not (float(np.min(out, initial=0.0)) > -FAR and float(np.max(out, initial=0.0)) < FAR):  # not a number, too
+        out = np.nan_to_num(out, nan=FAR, posinf=FAR, neginf=-FAR).clip(-FAR, FAR)
     return out
 
 
 def _bounded(out: Floats) -> Floats:
     out = _finite(out)
     np.clip(out[:, 5], -1e3, 1e4, out=out[:, 5])
-    np.clip(out[:, 7:9], -1e3, 1e3, out=out[:, 7:9])
     return out
 
 

@@ -9,7 +9,7 @@ LAST = LINE - 1
 EFFECT = Effect(
     id="averaging",
     stage="sensor",
-    parameters=(constant_of("window", 0, "s", "length over which the sensor averages", 0, 1e3), SAMPLED),
+    parameters=(constant_of("window", 0, "s", "length over which the sensor averages", 0, 1e9), SAMPLED),
     states=(State("line", "unit", "ring of the last values", size=LINE),),
     channels=SENSED,
     signal=True,

@@ -7,7 +7,7 @@ EFFECT = Effect(
     id="backlash",
     stage="structure",
     parameters=(
-        constant_of("width", 0, "m", "half of the play", 0, 1e-3),
+        constant_of("width", 0, "m", "half of the play", 0, 1e12),
         constant_of("start", 0, "1", "where the play begins, from one end, -1, to the other, 1", -1.5, 1.5),
     ),
     states=(State("centre", "m", "where the play stands"),),

@@ -9,7 +9,7 @@ EFFECT = Effect(
     stage="structure",
     parameters=(
         constant_of("share", 0, "1", "part of the deflection that moves through the mode", 0, 1.5),
-        constant_of("frequency", 1, "Hz", "undamped natural frequency", 1e-3, 1e6),
+        constant_of("frequency", 1, "Hz", "undamped natural frequency", 1e-9, 1e9),
         constant_of("damping", 0.02, "1", "damping ratio", 1e-4, 1),
     ),
     channels=(TIP_DEFLECTION,),

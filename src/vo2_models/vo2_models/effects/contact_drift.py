@@ -7,8 +7,8 @@ EFFECT = Effect(
     id="contact_drift",
     stage="terminals",
     parameters=(
-        constant_of("rate", 0, "ohm/s", "growth of the resistance in series", -1e5, 1e5),
-        constant_of("curvature", 0, "ohm/s^2", "half its change of rate per time", -1e5, 1e5),
+        constant_of("rate", 0, "ohm/s", "growth of the resistance in series", -1e12, 1e12),
+        constant_of("curvature", 0, "ohm/s^2", "half its change of rate per time", -1e12, 1e12),
     ),
     channels=(RESISTANCE,),
     course="rate",

@@ -10,7 +10,7 @@ EFFECT = Effect(
     stage="structure",
     parameters=(
         constant_of("share", 0, "1", "part of the deflection that creeps", -0.5, 0.5),
-        constant_of("time_constant", 1, "s", "time constant of the creep", 1e-4, 1e6),
+        constant_of("time_constant", 1, "s", "time constant of the creep", 1e-9, 1e9),
         constant_of("gain", 0, "1", "change of the resting deflection that comes with it", -0.5, 0.5),
     ),
     channels=(TIP_DEFLECTION,),

@@ -5,7 +5,7 @@ from vo2_models.effects.record import HEAT, Effect, constant_of
 EFFECT = Effect(
     id="dead_time",
     stage="driver",
-    parameters=(constant_of("delay", 0, "s", "delay added to the nominal dead time", 0, 1e3),),
+    parameters=(constant_of("delay", 0, "s", "delay added to the nominal dead time", 0, 1e9),),
     channels=HEAT,
     typical={"integrated": {"delay": (0.5e-3, 4e-3)}, "peltier": {"delay": (0.3, 2.0)}},
     equation="tau dtheta/dt = k u(t - delay) - theta",

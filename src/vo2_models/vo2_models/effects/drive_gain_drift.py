@@ -6,8 +6,8 @@ EFFECT = Effect(
     id="drive_gain_drift",
     stage="driver",
     parameters=(
-        constant_of("rate", 0, "1/s", "relative change of the current per time", -1, 1),
-        constant_of("curvature", 0, "1/s^2", "half its change of rate per time", -1, 1),
+        constant_of("rate", 0, "1/s", "relative change of the current per time", -1e6, 1e6),
+        constant_of("curvature", 0, "1/s^2", "half its change of rate per time", -1e12, 1e12),
         constant_of(
             "logged",
             1,

@@ -7,7 +7,7 @@ from vo2_models.effects.record import ALL, Effect, constant_of
 EFFECT = Effect(
     id="driver_deadzone",
     stage="driver",
-    parameters=(constant_of("width", 0, "A", "half width of the dead zone", 0, 10),),
+    parameters=(constant_of("width", 0, "A", "half width of the dead zone", 0, 1e12),),
     channels=ALL,
     typical={"integrated": {"width": (0.1e-3, 0.3e-3)}, "peltier": {"width": (0.02, 0.08)}},
     order=20,

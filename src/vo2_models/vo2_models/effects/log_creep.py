@@ -15,7 +15,7 @@ EFFECT = Effect(
     stage="structure",
     parameters=(
         constant_of("rate", 0, "1", "part of the deflection that creeps in an e-fold of time", -0.05, 0.05),
-        constant_of("onset", 1, "s", "time after which the creep goes with the logarithm", 1e-5, 1e5),
+        constant_of("onset", 1, "s", "time after which the creep goes with the logarithm", 1e-9, 1e9),
     ),
     states=(State("crept", "m", "deflection that each relaxation has reached", size=NODES),),
     channels=(TIP_DEFLECTION,),

@@ -16,7 +16,7 @@ EFFECT = Effect(
             -0.5,
             0.5,
         ),
-        constant_of("time_constant", 1, "s", "time constant of the slow path", 1e-4, 1e5),
+        constant_of("time_constant", 1, "s", "time constant of the slow path", 1e-9, 1e9),
         constant_of("gain", 0, "1", "change of the steady gain that comes with it", -0.5, 0.5),
     ),
     channels=HEAT,

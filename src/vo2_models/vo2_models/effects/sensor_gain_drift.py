@@ -7,8 +7,8 @@ EFFECT = Effect(
     id="sensor_gain_drift",
     stage="sensor",
     parameters=(
-        constant_of("rate", 0, "1/s", "relative change of the gain per time", -1, 1),
-        constant_of("curvature", 0, "1/s^2", "half its change of rate per time", -1, 1),
+        constant_of("rate", 0, "1/s", "relative change of the gain per time", -1e6, 1e6),
+        constant_of("curvature", 0, "1/s^2", "half its change of rate per time", -1e12, 1e12),
     ),
     channels=(RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE),
     signal=True,

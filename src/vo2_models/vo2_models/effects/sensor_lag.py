@@ -8,7 +8,7 @@ from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 EFFECT = Effect(
     id="sensor_lag",
     stage="sensor",
-    parameters=(constant_of("time_constant", 0, "s", "time constant of the sensor", 0, 1e4), SAMPLED),
+    parameters=(constant_of("time_constant", 0, "s", "time constant of the sensor", 0, 1e9), SAMPLED),
     channels=(RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE),
     signal=True,
     typical={"integrated": {"time_constant": (0.7e-3, 4e-3)}, "peltier": {"time_constant": (0.7, 4.0)}},

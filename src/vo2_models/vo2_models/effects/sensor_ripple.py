@@ -9,8 +9,8 @@ EFFECT = Effect(
     id="sensor_ripple",
     stage="sensor",
     parameters=(
-        constant_of("amplitude", 0, "channel unit", "amplitude of the ripple", 0, 1),
-        constant_of("pitch", 1e-5, "channel unit", "change of the value from crest to crest", 1e-9, 1),
+        constant_of("amplitude", 0, "channel unit", "amplitude of the ripple", 0, 1e12),
+        constant_of("pitch", 1e-5, "channel unit", "change of the value from crest to crest", 1e-12, 1e12),
         constant_of("phase_angle", 0, "rad", "phase of the ripple at the value 0", -7, 7),
     ),
     channels=(TIP_DEFLECTION,),

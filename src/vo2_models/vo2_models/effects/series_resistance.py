@@ -6,7 +6,7 @@ from vo2_models.recording import RESISTANCE
 EFFECT = Effect(
     id="series_resistance",
     stage="terminals",
-    parameters=(constant_of("resistance", 0, "ohm", "resistance added in series", 0, 1e6),),
+    parameters=(constant_of("resistance", 0, "ohm", "resistance added in series", 0, 1e12),),
     channels=(RESISTANCE,),
     needs=("resistance",),
     typical={"integrated": {"resistance": (300.0, 1500.0)}, "peltier": {"resistance": (40.0, 200.0)}},

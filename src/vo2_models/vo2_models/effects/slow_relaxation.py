@@ -14,7 +14,7 @@ EFFECT = Effect(
         constant_of(
             "amplitude", 0, "1", "drift of the fraction at half transition, per e-fold of time", -0.2, 0.2
         ),
-        constant_of("onset", 1, "s", "time after which the drift begins", 1e-5, 1e5),
+        constant_of("onset", 1, "s", "time after which the drift begins", 1e-9, 1e9),
         constant_of("travel", 0.5, "K", "motion after which 63 % of the drift is forgotten", 0.02, 20),
     ),
     channels=FILM,

@@ -8,15 +8,15 @@ EFFECT = Effect(
     stage="structure",
     parameters=(
         constant_of(
-            "stiffness", 0, "1/m^2", "relative loss of deflection per squared deflection", -5e7, 1e12
+            "stiffness", 0, "1/m^2", "relative loss of deflection per squared deflection", -1e18, 1e24
         ),
         constant_of(
             "rest_bend",
             0,
             "1/m",
             "relative loss per deflection: the structure is bent at rest",
-            -1.2e4,
-            1.2e4,
+            -1e12,
+            1e12,
         ),
     ),
     channels=(TIP_DEFLECTION,),

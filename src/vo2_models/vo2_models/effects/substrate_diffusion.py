@@ -16,7 +16,7 @@ EFFECT = Effect(
         constant_of(
             "share", 0, "1", "part of the steady temperature rise that is the substrate's", -0.5, 0.5
         ),
-        constant_of("time_constant", 1, "s", "time in which heat crosses the heated length", 1e-5, 1e6),
+        constant_of("time_constant", 1, "s", "time in which heat crosses the heated length", 1e-9, 1e9),
     ),
     states=(State("spread", "K", "temperature rise of each relaxation", size=NODES),),
     channels=HEAT,

@@ -7,7 +7,7 @@ from vo2_models.effects.record import FILM, Effect, constant_of
 EFFECT = Effect(
     id="transition_kinetics",
     stage="transition",
-    parameters=(constant_of("time_constant", 0, "s", "relaxation time of the phase fraction", 0, 1e4),),
+    parameters=(constant_of("time_constant", 0, "s", "relaxation time of the phase fraction", 0, 1e9),),
     channels=FILM,
     typical={"integrated": {"time_constant": (0.3e-3, 2e-3)}, "peltier": {"time_constant": (1.0, 6.0)}},
     slowest_time="time_constant",
