@@ -249,6 +249,62 @@ def test_a_gain_that_walks_is_the_sensor_s(model):
 
 
 @pytest.mark.parametrize(
+    ("of_response", "of_drive", "of_time"), [(1e9, 1e3, 1e-4), (1e-3, 1e-4, 1e4)], ids=str
+)
+def test_units_and_sizes_change_nothing(model, of_response, of_drive, of_time):
+    """Pascals or micrometres, hours or microseconds: a ripple of the same share of the range is the same one."""
+
+    def rippled(y):
+        return y + 0.04 * np.ptp(y) * np.sin(2.0 * np.pi * y / (0.15 * np.ptp(y)))
+
+    def resized(recording):
+        channels = {
+            HEATER_CURRENT: of_drive * recording[HEATER_CURRENT],
+            TIP_DEFLECTION: of_response * recording[TIP_DEFLECTION],
+        }
+        return Recording(of_time * recording.time_s, channels, device.key)
+
+    document = json.loads(DEVICE.document)
+    for key in ("limits", "operating"):
+        document["drive"][key] = [of_drive * value for value in document["drive"][key]]
+    device = described(document, "stack")
+    other = fit_model([resized(recorded(1))], device.key)[1]
+    plain, there = (
+        study([recorded(2, change=rippled)], model),
+        study([resized(recorded(2, change=rippled))], other),
+    )
+    (effect,) = assemble_diagnosis(there).effects
+    assert effect.id == "sensor_ripple"
+    assert there.decision.chosen.gain == pytest.approx(plain.decision.chosen.gain, rel=1e-3)
+    pitch, same = (one.decision.chosen.values[0]["pitch"] for one in (plain, there))
+    assert same == pytest.approx(of_response * pitch, rel=1e-4)
+
+
+def test_a_zero_that_drifts_is_told(model):
+    found = study([recorded(2, change=lambda y: y + 0.1 * np.ptp(y) * np.linspace(0.0, 1.0, y.size))], model)
+    (effect,) = assemble_diagnosis(found).effects
+    assert found.search.options[0].chosen.keys == (f"sensor_zero_drift:{TIP_DEFLECTION}",)
+    assert (
+        "sensor_zero_drift" in (effect.id, *effect.siblings) and effect.family == f"sensor:{TIP_DEFLECTION}"
+    )
+
+
+def test_a_rest_between_the_steps_of_a_converter_is_no_excess(model):
+    """Rounding moves what rests by up to half a step, three times its mean power, and for as long as the rest lasts."""
+    before = recorded(2)
+    volts = before[HEATER_CURRENT].copy()
+    volts[500:] = volts[500]
+    stroke = LAW(volts)
+    step = np.ptp(stroke) / 12
+    stroke += (np.floor(stroke[-1] / step) + 0.48) * step - stroke[-1]
+    coarse = Recording(
+        before.time_s, {HEATER_CURRENT: volts, TIP_DEFLECTION: step * np.round(stroke / step)}, "stack"
+    )
+    effects = assemble_diagnosis(study([coarse], model)).effects
+    assert [effect.id for effect in effects] == ["adc_quantization"]
+
+
+@pytest.mark.parametrize(
     ("change", "constant", "moved"),
     [
         (lambda y: 1.08 * y, "deflection.gain", 0.08),

@@ -71,6 +71,12 @@ def test_gain_drift(clean):
     assert np.allclose(found, clean[TIP_DEFLECTION] * (1 + 0.05 * clean.time_s), rtol=1e-12)
 
 
+def test_zero_drift(clean):
+    found = _with("sensor_zero_drift", signal=TIP_DEFLECTION, rate=2e-6, curvature=-1e-6)[TIP_DEFLECTION]
+    t = clean.time_s
+    assert np.allclose(found, clean[TIP_DEFLECTION] + 2e-6 * t - 1e-6 * t**2, rtol=0, atol=1e-15)
+
+
 def test_quantisation_and_saturation(clean):
     found = _with("adc_quantization", signal=RESISTANCE, step=1000.0)[RESISTANCE]
     assert np.allclose(found, 1000.0 * np.round(clean[RESISTANCE] / 1000.0), rtol=0, atol=1e-9)

@@ -22,7 +22,14 @@ from vo2_studies.challenge.outside import COMPOSED, DEPENDENCES, MEMORIES, PLACE
 from vo2_studies.challenge.rig import Plan, channels_of, draw_rig_noise, log_channels, simulate
 
 D_ONLY = {"phase_dependent_expansion", "transition_offset", "creep", "cantilever_resonance"}
-D_ONLY |= {"log_creep", "backlash", "stiffening", "sensor_ripple", "loop_width_difference"}
+D_ONLY |= {
+    "log_creep",
+    "backlash",
+    "stiffening",
+    "sensor_ripple",
+    "sensor_zero_drift",
+    "loop_width_difference",
+}
 R_ONLY = {"series_resistance", "leakage_resistance", "current_crosstalk"}
 R_ONLY |= {"thermovoltage", "contact_drift"}
 NOT_STAGE = {"transition_kinetics", "minor_loop_incongruency", "training_drift", "slow_relaxation"}
@@ -61,7 +68,7 @@ def expected_channels(effect, signal, preset):
 
 def test_catalogue_is_the_contracts():
     assert set(IDS) <= set(effect_ids())
-    assert len(set(IDS) - {"rate_dependent_width"}) == 42  # the one beyond the contract
+    assert len(set(IDS) - {"rate_dependent_width", "sensor_zero_drift"}) == 42  # those beyond the contract
     assert OUTSIDE not in effect_ids()
     assert presets_of("peltier_joule_heating") == ("peltier",)
     with pytest.raises(ValueError, match="effect"):

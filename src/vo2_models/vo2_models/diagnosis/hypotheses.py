@@ -131,7 +131,8 @@ class Hypothesis:
     def ends(self, name: str, value: float) -> bool:
         """Whether a value is at the end of what is physical; nothing and anything are no ends."""
         return any(
-            np.isclose(value, end, rtol=1e-6) and abs(end) < 1e9 and end != 0.0 for end in self.bounds(name)
+            np.isclose(value, end, rtol=1e-6, atol=0.0) and abs(end) < 1e9 and end != 0.0
+            for end in self.bounds(name)
         )
 
     def logarithmic(self, name: str) -> bool:

@@ -411,7 +411,9 @@ def span_of(device: str) -> dict[str, float]:
 
 
 def _finite(out: Floats) -> Floats:
-    if not (float(np.min(out, initial=0.0)) > -FAR and float(np.max(out, initial=0.0)) < FAR):  # not a number, too
+    if not (
+        float(np.min(out, initial=0.0)) > -FAR and float(np.max(out, initial=0.0)) < FAR
+    ):  # not a number, too
         out = np.nan_to_num(out, nan=FAR, posinf=FAR, neginf=-FAR).clip(-FAR, FAR)
     return out
 

@@ -85,9 +85,9 @@ class Part:
         return step / (np.log(10.0) * 10.0 ** self.observed[channel])
 
     def rounding(self, channel: str, predicted: Floats) -> Floats | float:
-        """Standard deviation that a coarse converter adds where (n,) is predicted: its mean one, or more where that is rounded by more.
+        """Standard deviation that a coarse converter adds to predicted values: `comb_level`, or more where it rounds by more.
 
-        On average over all values it is `comb_level`. A device that rests does not go through all values: what it rests at
+        That level is an average over all values. A device that rests does not go through all of them: what it rests at
         stays rounded by up to half a step, which is no excess.
 
         Parameters

@@ -439,10 +439,9 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
                 if name in hypothesis.switches and abs(value) >= HUGE:
                     continue  # never switched
                 unit = hypothesis.parameter(name).unit
-                if unit == "channel unit":
-                    unit = {"log10 ohm": "ohm"}.get(
-                        JUDGED_UNIT[hypothesis.signal], JUDGED_UNIT[hypothesis.signal]
-                    )
+                if hypothesis.signal:
+                    own = JUDGED_UNIT[hypothesis.signal]
+                    unit = unit.replace("channel unit", {"log10 ohm": "ohm"}.get(own, own))
                 form = 0.0 if unit == CHOICE else MODEL_DISCREPANCY[record.stage]
                 spread = float(np.hypot(study.decision.chosen.std(index, name), form * value))
                 parameters[name] = Estimate(float(value), spread, unit)

@@ -61,7 +61,7 @@ def natural_scale(unit: str, device: DeviceDescription, signal: str = "") -> flo
 
     Parameters
     ----------
-    unit : SI unit text such as K/A^2; "channel unit" is the span of the signal
+    unit : SI unit text such as K/A^2; "channel unit" in it is the span of the signal
     device : whose sizes are taken
     signal : channel that "channel unit" stands for
 
@@ -89,9 +89,8 @@ def natural_scale(unit: str, device: DeviceDescription, signal: str = "") -> flo
         TIP_DEFLECTION: size["m"],
         STAGE_TEMPERATURE: size["K"],
     }
-    if unit == "channel unit":
-        return spans[signal]
-    above, *below = unit.split("/")
+    size["channel"] = spans.get(signal, np.nan)
+    above, *below = unit.replace("channel unit", "channel").split("/")
     scale = 1.0
     for sign, part in ((1, above), *((-1, each) for each in below)):
         match = re.fullmatch(r"(\w+)(?:\^(\d+))?", part)

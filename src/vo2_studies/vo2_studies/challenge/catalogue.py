@@ -48,7 +48,7 @@ _FAMILIES: dict[str, tuple[str, ...]] = {
         *("phase_dependent_expansion", "creep", "log_creep", "cantilever_resonance", "backlash"),
         *("stiffening",),
     ),
-    "sensor:tip_deflection": ("sensor_ripple",),
+    "sensor:tip_deflection": ("sensor_ripple", "sensor_zero_drift"),
 }
 _ALSO = {
     "transition_offset": "structure",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from vo2_models.recording import TIP_DEFLECTION
 
 from vo2_studies.challenge.devices import Device
 from vo2_studies.challenge.effect import ANY, ConcealedEffect, Context, either_sign, log_uniform
@@ -71,6 +72,10 @@ def _gain_walk(plan: Plan, v: Values, c: Context, signal: str) -> None:
     plan.sampled.append((signal, lambda t, y: y * (1 + _walk(v, c, t))))
 
 
+def _zero_walk(plan: Plan, v: Values, c: Context) -> None:
+    plan.sampled.append((TIP_DEFLECTION, lambda t, y: y + _walk(v, c, t)))
+
+
 def _contact_walk(plan: Plan, v: Values, c: Context) -> None:
     plan.film.append(lambda t, resistance, temperature, current: resistance + np.abs(_walk(v, c, t)))
 
@@ -119,6 +124,16 @@ EFFECTS = (
         {"total_change": 0.0},
         per_signal=True,
         form="random walk of the gain",
+    ),
+    ConcealedEffect(
+        "sensor_zero_drift",
+        ANY,
+        lambda c: _pattern(
+            c, either_sign(c.rng, log_uniform(c.rng, 0.3e-6, 6e-6)) * c.preset.scales.deflection, "m"
+        ),
+        _zero_walk,
+        {"total_change": 0.0},
+        form="random walk of the zero",
     ),
     ConcealedEffect(
         "contact_drift",

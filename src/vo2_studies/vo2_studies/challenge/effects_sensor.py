@@ -40,6 +40,15 @@ def _apply_gain(plan: Plan, v: Values, c: Context, signal: str) -> None:
     plan.sampled.append((signal, lambda t, y: y * (1 + v["rate"] * t)))
 
 
+def _apply_zero(plan: Plan, v: Values, c: Context) -> None:
+    plan.sampled.append((TIP_DEFLECTION, lambda t, y: y + v["rate"] * t))
+
+
+def _draw_zero(c: Context) -> Draw:
+    total = either_sign(c.rng, log_uniform(c.rng, 0.3e-6, 6e-6)) * c.preset.scales.deflection
+    return {"rate": (total / c.duration, "m/s"), "total_change": (total, "m")}
+
+
 def _draw_gain(c: Context) -> Draw:
     total = either_sign(c.rng, log_uniform(c.rng, 0.005, 0.1))
     return {"rate": (total / c.duration, "1/s"), "total_change": (total, "1")}
@@ -99,6 +108,7 @@ EFFECTS = (
     ConcealedEffect(
         "sensor_gain_drift", ANY, lambda c, signal: _draw_gain(c), _apply_gain, {"rate": 0.0}, per_signal=True
     ),
+    ConcealedEffect("sensor_zero_drift", ANY, _draw_zero, _apply_zero, {"rate": 0.0}),
     ConcealedEffect("adc_saturation", ANY, _draw_clip, _apply_clip, {"level": 1e12}, per_signal=True),
     ConcealedEffect(
         "adc_quantization", ANY, _draw_quantise, _apply_quantise, {"least_bit": 0.0}, per_signal=True

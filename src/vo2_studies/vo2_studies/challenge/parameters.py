@@ -95,6 +95,10 @@ QUANTITIES: dict[str, tuple[Quantity, ...]] = {
         Quantity("rate", ("d", "rate", "drift", "drift_rate"), "1/s", group="drift"),
         Quantity("total_change", ("total", "total_change", "change"), "1", group="drift"),
     ),
+    "sensor_zero_drift": (
+        Quantity("rate", ("rate", "drift", "drift_rate"), "m/s", group="drift"),
+        Quantity("total_change", ("total", "total_change", "change"), "m", group="drift"),
+    ),
     "clock_offset": (Quantity("delay", ("offset", "delay", "theta", "shift", "clock_offset"), "s", True),),
     "adc_saturation": (Quantity("level", ("level", "upper", "high", "maximum", "limit"), ""),),
     "adc_quantization": (Quantity("least_bit", ("lsb", "step", "least_bit", "resolution", "quantum"), ""),),

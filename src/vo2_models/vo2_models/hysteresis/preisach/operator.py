@@ -97,7 +97,7 @@ class PreisachOperator(Law):
         weights = density * cell_areas(walls, self.diagonal)
         width = np.diff(walls)
         half = np.ascontiguousarray(np.diag(weights) / width**2)
-        uniform = np.allclose(width, width[0], rtol=1e-6)
+        uniform = np.allclose(width, width[0], rtol=1e-6, atol=0.0)
         # as many buckets as cells where they are equal, more where not; `kernels.locate` corrects the guess
         starts = np.linspace(walls[0], walls[-1], (1 if uniform else 4) * level, endpoint=False)
         guess = np.searchsorted(walls, starts + 1e-9 * width.min(), side="right") - 1

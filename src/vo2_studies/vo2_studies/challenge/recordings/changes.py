@@ -81,6 +81,10 @@ def _drift(t: Array, y: Array, strength: float) -> Array:
     return np.asarray(y * (1 + strength * t / t[-1]))
 
 
+def _wandering(t: Array, y: Array, strength: float) -> Array:
+    return np.asarray(y + strength * t / t[-1])
+
+
 def _undrifted(t: Array, drive: Array, strength: float) -> Array:
     return np.asarray(drive / (1 + strength * t / t[-1]))
 
@@ -127,6 +131,7 @@ CHANGES = (
     Change("averaging", "sensor", _average, "length", "s", 0.03),
     Change("clock_offset", "clock", _late, "delay", "s", 0.02),
     Change("sensor_gain_drift", "sensor", _drift, "total_change", "1", 0.5),
+    Change("sensor_zero_drift", "sensor", _wandering, "total_change", "response", 0.3),
     Change("adc_saturation", "sensor", _clip, "cut", "response", 0.3),
     Change("adc_quantization", "sensor", _steps, "least_bit", "response", 0.12),
     Change("sensor_ripple", "sensor", _ripple, "amplitude", "response", 0.1),
