@@ -17,6 +17,7 @@ from vo2_models.diagnosis.held_out import block_folds
 from vo2_models.diagnosis.loop_shape import loop_shapes
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.nonparametric_correction import Shape, fit_nonparametric_correction
+from vo2_models.diagnosis.page import report_page
 from vo2_models.diagnosis.pipeline import study
 from vo2_models.diagnosis.report import assemble_diagnosis
 from vo2_models.hysteresis.preisach import PreisachOperator
@@ -267,17 +268,29 @@ def test_units_and_sizes_change_nothing(model, of_response, of_drive, of_time):
     document = json.loads(DEVICE.document)
     for key in ("limits", "operating"):
         document["drive"][key] = [of_drive * value for value in document["drive"][key]]
+    document["responses"] = {"stroke": {"unit": "A/m"}}
     device = described(document, "stack")
     other = fit_model([resized(recorded(1))], device.key)[1]
     plain, there = (
         study([recorded(2, change=rippled)], model),
         study([resized(recorded(2, change=rippled))], other),
     )
-    (effect,) = assemble_diagnosis(there).effects
-    assert effect.id == "sensor_ripple"
+    (effect,) = (answer := assemble_diagnosis(there)).effects
+    assert effect.id == "sensor_ripple" and effect.parameters["pitch"].unit == "A/m"
+    assert "sensor_ripple on stroke" in answer.summary
+    shown = report_page(there, answer)
+    assert "stroke / A/m" in shown and "deflection / um" not in shown and "film temperature" not in shown
     assert there.decision.chosen.gain == pytest.approx(plain.decision.chosen.gain, rel=1e-3)
     pitch, same = (one.decision.chosen.values[0]["pitch"] for one in (plain, there))
     assert same == pytest.approx(of_response * pitch, rel=1e-4)
+
+
+def test_units_of_parameters_are_those_of_the_device():
+    volts = described({**json.loads(DEVICE.document), "responses": {"moment": {"unit": "A m2"}}}, "stack")
+    told = [
+        volts.own_unit(unit, TIP_DEFLECTION) for unit in ("A/s", "1/m^2", "m", "channel unit/s", "ohm", "K")
+    ]
+    assert told == ["V/s", "1/(A m2)^2", "A m2", "(A m2)/s", "ohm", "K"]
 
 
 def test_a_zero_that_drifts_is_told(model):

@@ -8,6 +8,7 @@ names its own channels and units; a recording is translated to roles where it is
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -193,6 +194,30 @@ class DeviceDescription:
         """Role -> unit of its channel."""
         found = {HEATER_CURRENT: self.drive_unit} | {r.role: r.unit for r in self.responses}
         return found | ({STAGE_TEMPERATURE: "degC"} if self.temperature_channel else {})
+
+    def own_unit(self, unit: str, signal: str = "") -> str:
+        """Return a unit of an effect's parameter, which is written for amperes and metres, in the units of this device.
+
+        Parameters
+        ----------
+        unit : such as A/s, 1/m^2 or "channel unit/s"
+        signal : role of the channel that "channel unit" stands for
+
+        >>> preset("integrated").own_unit("channel unit/s", "tip_deflection")
+        'm/s'
+        """
+        own = self.units
+        parts = {
+            "A": own[HEATER_CURRENT],
+            "m": own.get(TIP_DEFLECTION, "m"),
+            "channel unit": own.get(signal, "1"),
+        }
+
+        def put(found: re.Match[str]) -> str:
+            part = parts[found[0]]
+            return part if part.isalnum() or found[0] == unit else f"({part})"
+
+        return re.sub(r"channel unit|\bA\b|\bm\b", put, unit)
 
     def tells(self, *keys: str) -> bool:
         """Whether the file has a value at this place, such as `body, time_constant`."""

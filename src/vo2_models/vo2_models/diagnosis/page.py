@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +24,8 @@ SHOWN = {
     STAGE_TEMPERATURE: ("stage temperature", "residual of\ntemperature / K", 1.0),
     HEATER_CURRENT: ("heater current", "residual of\ncurrent / mA", 1e3),
 }
+UNITS = {RESISTANCE: "ohm", TIP_DEFLECTION: "m", STAGE_TEMPERATURE: "degC", HEATER_CURRENT: "A"}
+"""Those for which the labels above are written."""
 BEFORE, AFTER, NOISE = "#D55E00", "#0072B2", "#999999"
 """From the palette of Okabe and Ito; line style and label carry the meaning too."""
 
@@ -43,6 +47,20 @@ def report_page(study: Study, diagnosis: Diagnosis) -> str:
     return page("Diagnosis: simulation against recording", diagnosis.summary, parts)
 
 
+def _labels(study: Study) -> dict[str, tuple[str, str, float]]:
+    """Channel -> its name, the label of its residual, and the factor to that label's unit: of a rig, by its own file."""
+    device = study.located.problem.nominal.model.description
+    found = dict(SHOWN)
+    for channel, own in device.names.items():
+        unit = device.units[channel]
+        if own == channel and unit == UNITS[channel]:
+            continue
+        found[channel] = (own, f"residual of\n{own} / {unit}", 1.0)
+        if channel == RESISTANCE:
+            found[channel] = (own, f"residual of\nlog10({own}/{unit}) / 0.001", 1e3)
+    return found
+
+
 def _agreement(study: Study) -> str:
     return section(
         "How they agree",
@@ -55,9 +73,10 @@ def _agreement(study: Study) -> str:
 
 
 def _where(study: Study, diagnosis: Diagnosis) -> str:
+    labels, device = _labels(study), study.located.problem.nominal.model.description
     rows = [
         (
-            SHOWN[p.signal][0],
+            labels[p.signal][0],
             f"{100 * p.share:.0f} %",
             p.branch,
             "-"
@@ -76,16 +95,21 @@ def _where(study: Study, diagnosis: Diagnosis) -> str:
         ),
         table(
             "Location of the excess",
-            ("channel", "share", "branch", "temperature / degC", "frequency / Hz", "mostly at / s"),
+            ("channel", "share", "branch", _loop_axis(device.has_body), "frequency / Hz", "mostly at / s"),
             rows,
         ),
         _residual_figure(study),
-        _map_figure(study.decision.breakdown),
+        _map_figure(study.decision.breakdown, labels, _loop_axis(device.has_body)),
     )
+
+
+def _loop_axis(has_body: bool) -> str:
+    return "film temperature / degC" if has_body else "loop coordinate (30 to 90: the drive's range)"
 
 
 def _residual_figure(study: Study) -> str:
     """Residual over time, before and after, per channel of the first recording."""
+    labels = _labels(study)
     problem = study.located.problem
     rows = [(row, part) for row, part, _ in problem.iterate() if row.part == 0]
     left = problem.residual
@@ -94,7 +118,7 @@ def _residual_figure(study: Study) -> str:
         axes = np.atleast_1d(figure.subplots(len(rows), 1, sharex=True))
         for axis, (row, part) in zip(axes, rows, strict=True):
             noise = problem.nominal.noise[row.channel]
-            _, label, scale = SHOWN[row.channel]
+            _, label, scale = labels[row.channel]
             time = part.time_s - part.time_s[0]
             for vector, colour, name in ((left, BEFORE, "before"), (after, AFTER, "after")):
                 plain = problem.in_its_unit(row, vector) * scale
@@ -130,7 +154,9 @@ def _envelope(time: Floats, values: Floats, pieces: int = 500) -> tuple[Floats, 
     )
 
 
-def _map_figure(parts: tuple[Breakdown, ...]) -> str:
+def _map_figure(
+    parts: tuple[Breakdown, ...], labels: Mapping[str, tuple[str, str, float]], loop_axis: str
+) -> str:
     """Excess energy per channel over temperature, frequency, branch and memory."""
     shown = [b for b in parts if b.excess > 0]
     if not shown:
@@ -140,7 +166,7 @@ def _map_figure(parts: tuple[Breakdown, ...]) -> str:
     with new_figure(7.2, 4.4) as figure:
         grid = figure.subplots(2, 2)
         for b in shown:
-            name, style = SHOWN[b.channel][0], {"color": colours[b.channel], "linestyle": marks[b.channel]}
+            name, style = labels[b.channel][0], {"color": colours[b.channel], "linestyle": marks[b.channel]}
             edges, energy = b.axes["temperature"]
             grid[0, 0].stairs(energy / max(b.excess, 1e-9), edges, label=name, **style)
             frequency, power = b.axes["frequency"]
@@ -152,8 +178,8 @@ def _map_figure(parts: tuple[Breakdown, ...]) -> str:
             ((grid[1, 0], "branch", "branch"), (grid[1, 1], "reversals", "open reversals (minor-loop depth)"))
         ):
             for k, b in enumerate(shown):
-                labels, energy = b.axes[key]
-                x = np.arange(len(labels)) + (k - 0.5 * (len(shown) - 1)) * width
+                names, energy = b.axes[key]
+                x = np.arange(len(names)) + (k - 0.5 * (len(shown) - 1)) * width
                 axis.bar(
                     x,
                     energy / max(b.excess, 1e-9),
@@ -161,28 +187,29 @@ def _map_figure(parts: tuple[Breakdown, ...]) -> str:
                     color=colours[b.channel],
                     hatch=("", "//", "..", "xx")[k],
                 )
-                axis.set_xticks(np.arange(len(labels)), labels)
+                axis.set_xticks(np.arange(len(names)), names)
             axis.set_xlabel(title)
             axis.set_ylabel("share of the excess")
             del place
-        grid[0, 0].set_xlabel("film temperature / degC")
+        grid[0, 0].set_xlabel(loop_axis)
         grid[0, 0].set_ylabel("share of the excess")
         grid[0, 0].legend()
         grid[0, 1].set_xlabel("frequency / Hz")
         grid[0, 1].set_ylabel("share below")
         return figure_html(
             figure,
-            "Where each channel's excess sits: over film temperature, over frequency (cumulative), on which branch, "
-            "and how deep in minor loops.",
+            f"Where each channel's excess sits: over {loop_axis.partition(' / ')[0]}, over frequency (cumulative), on which "
+            "branch, and how deep in minor loops.",
         )
 
 
 def _what(study: Study, diagnosis: Diagnosis) -> str:
-    parts = [_effect(effect) for effect in diagnosis.effects]
+    labels = _labels(study)
+    parts = [_effect(effect, labels) for effect in diagnosis.effects]
     if diagnosis.candidates:
         rows = [
             (
-                c.id + (f" ({SHOWN[c.signal][0]})" if c.signal else ""),
+                c.id + (f" ({labels[c.signal][0]})" if c.signal else ""),
                 f"{c.probability:.3f}",
                 f"{100 * c.explained_share:.0f} %",
                 c.why_not or "the answer",
@@ -216,8 +243,8 @@ def _moved(diagnosis: Diagnosis) -> str:
     )
 
 
-def _effect(effect: NamedEffect) -> str:
-    name = effect.id.replace("_", " ") + (f" on {SHOWN[effect.signal][0]}" if effect.signal else "")
+def _effect(effect: NamedEffect, labels: Mapping[str, tuple[str, str, float]]) -> str:
+    name = effect.id.replace("_", " ") + (f" on {labels[effect.signal][0]}" if effect.signal else "")
     parts = [
         paragraph(f"Family: {effect.family}. Form: {effect.form}."),
         *(
@@ -238,9 +265,10 @@ def _effect(effect: NamedEffect) -> str:
 
 
 def _gain(study: Study, diagnosis: Diagnosis) -> str:
+    labels = _labels(study)
     rows = [
         (
-            SHOWN[c][0],
+            labels[c][0],
             f"{100 * f.nrmse_before:.3f} %",
             f"{100 * f.nrmse_after:.3f} %",
             f"{100 * f.noise_floor:.3f} %",
@@ -276,12 +304,13 @@ def _nothing_next(diagnosis: Diagnosis) -> str:
 
 
 def _data(study: Study, diagnosis: Diagnosis) -> str:
+    labels, device = _labels(study), study.located.problem.nominal.model.description
     rows = [
         (
             part.name,
             f"{part.size}",
             f"{part.dt:.4g}",
-            ", ".join(SHOWN[c][0] for c in part.channels),
+            ", ".join(labels[c][0] for c in part.channels),
             "at its first current" if part.settled else "at rest, cold",
         )
         for part in study.located.problem.parts
@@ -289,9 +318,9 @@ def _data(study: Study, diagnosis: Diagnosis) -> str:
     limits = [paragraph(text) for text in diagnosis.limits] or [paragraph("Nothing limits the answer.")]
     noise = [
         (
-            SHOWN[c][0],
+            labels[c][0],
             f"{n.level:.3g}",
-            JUDGED_UNIT[c],
+            JUDGED_UNIT[c] if c == RESISTANCE else device.units[c],
             ", ".join(f"{a:.2f}" for a in n.ar) or "none: white",
         )
         for c, n in study.located.problem.nominal.noise.items()

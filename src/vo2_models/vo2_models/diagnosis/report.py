@@ -16,7 +16,6 @@ from vo2_models.diagnosis.evident import Evident, located_with
 from vo2_models.diagnosis.explain import Explanation
 from vo2_models.diagnosis.families import family_of_unnamed
 from vo2_models.diagnosis.hypotheses import Hypothesis
-from vo2_models.diagnosis.nominal import JUDGED_UNIT
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.result import (
     Candidate,
@@ -388,7 +387,7 @@ def _location(study: Study) -> list[Location]:
 
 def _shown(study: Study, evident: Evident) -> NamedEffect:
     """An effect that the values show by themselves, its parameters as exact as they are written."""
-    unit = {"log10 ohm": "ohm"}.get(JUDGED_UNIT[evident.signal], JUDGED_UNIT[evident.signal])
+    unit = study.located.problem.nominal.model.description.own_unit("channel unit", evident.signal)
     record = evident.record
     return NamedEffect(
         record.id,
@@ -438,10 +437,9 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
             for name, value in study.decision.chosen.values[index].items():
                 if name in hypothesis.switches and abs(value) >= HUGE:
                     continue  # never switched
-                unit = hypothesis.parameter(name).unit
-                if hypothesis.signal:
-                    own = JUDGED_UNIT[hypothesis.signal]
-                    unit = unit.replace("channel unit", {"log10 ohm": "ohm"}.get(own, own))
+                unit = study.located.problem.nominal.model.description.own_unit(
+                    hypothesis.parameter(name).unit, hypothesis.signal
+                )
                 form = 0.0 if unit == CHOICE else MODEL_DISCREPANCY[record.stage]
                 spread = float(np.hypot(study.decision.chosen.std(index, name), form * value))
                 parameters[name] = Estimate(float(value), spread, unit)
@@ -520,7 +518,8 @@ def _unknown(study: Study) -> NamedEffect:
     shapes = outside.shapes if outside is not None else ()
     if shapes:
         words = "; ".join(
-            f"{s.channel} depends on {s.words} ({100 * s.share:.0f} % of its excess)" for s in shapes[:4]
+            f"{_in_own_words(study, s.channel)} depends on {s.words} ({100 * s.share:.0f} % of its excess)"
+            for s in shapes[:4]
         )
         statement = (
             "Nothing of the catalogue explains the excess. A correction without a name removes "
@@ -601,6 +600,13 @@ def _loops_in_words(study: Study) -> list[str]:
     return found
 
 
+def _in_own_words(study: Study, text: str) -> str:
+    """A text in which the channels have the names that the device's file gives them."""
+    for role, name in study.located.problem.nominal.model.description.names.items():
+        text = text.replace(role, name)
+    return text
+
+
 def _why_enough(study: Study) -> str:
     """Say why an excess is no sign of physics."""
     if study.decision.unlike_noise:
@@ -636,8 +642,9 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
             f"residual exceeds the noise by {power:.0f} % of its power, {_why_enough(study)}."
         )
     where = max(excess, key=lambda c: excess[c])
-    told = study.located.problem.nominal.model.description.names.get(where, where)
-    head = f"Simulation and recording differ, most in {told} ({1 + excess[where]:.3g} times the noise power)."
+    own = study.located.problem.nominal.model.description.names
+    family = _in_own_words(study, effects[0].family)
+    head = f"Simulation and recording differ, most in {own.get(where, where)} ({1 + excess[where]:.3g} times the noise power)."
     lead = (
         "The calibration had taken up a part of it"
         if study.reading.first_use
@@ -648,13 +655,17 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     if decision.equivalent:
         return (
             f"{head} Left out: one of {', '.join(effects[0].siblings)}; these recordings do not tell which. Most of them are "
-            f"of the family {effects[0].family}.{tail}"
+            f"of the family {family}.{tail}"
         )
-    names = [e.id + (f" on {e.signal}" if e.signal else "") for e in effects if e.id != "unknown"]
+    names = [
+        e.id + (f" on {own.get(e.signal, e.signal)}" if e.signal else "")
+        for e in effects
+        if e.id != "unknown"
+    ]
     if not names:
         share = decision.unnamed.share if decision.unnamed else 0.0
         return (
-            f"{head} Nothing known explains it; it acts in the family {effects[0].family}. A correction without a name "
+            f"{head} Nothing known explains it; it acts in the family {family}. A correction without a name "
             f"removes {100 * share:.0f} % of the excess.{tail}"
         )
     share = 1.0 - max(decision.remaining_excess, 0.0) / max(study.located.total_excess, 1e-9)
