@@ -250,7 +250,9 @@ def test_a_gain_that_walks_is_the_sensor_s(model):
 
 
 @pytest.mark.parametrize(
-    ("of_response", "of_drive", "of_time"), [(1e9, 1e3, 1e-4), (1e-3, 1e-4, 1e4)], ids=str
+    ("of_response", "of_drive", "of_time"),
+    [(1e9, 1e3, 1e-4), pytest.param(1e-3, 1e-4, 1e4, marks=pytest.mark.slow)],
+    ids=str,
 )
 def test_units_and_sizes_change_nothing(model, of_response, of_drive, of_time):
     """Pascals or micrometres, hours or microseconds: a ripple of the same share of the range is the same one."""
