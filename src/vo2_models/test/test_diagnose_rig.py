@@ -287,6 +287,22 @@ def test_units_and_sizes_change_nothing(model, of_response, of_drive, of_time):
     assert same == pytest.approx(of_response * pitch, rel=1e-4)
 
 
+def test_what_leaves_more_than_any_unchanged_device_is_no_rival(model):
+    """A slow sensor and an average, a late clock, a relaxation: all gain nearly as much, and leave what the lag does not."""
+    rng = np.random.default_rng(3)
+    volts = np.interp(np.arange(SIZE), np.arange(0, SIZE + 1, 25), rng.uniform(0.0, 10.0, SIZE // 25 + 1))
+    keep = np.exp(-1.0 / 5.0)
+    stroke = LAW(volts)
+    stroke = lfilter([1 - keep], [1, -keep], stroke, zi=[keep * stroke[0]])[0]
+    stroke += np.ptp(stroke) * 5e-4 * rng.standard_normal(SIZE)
+    found = study(
+        [Recording(0.1 * np.arange(SIZE), {HEATER_CURRENT: volts, TIP_DEFLECTION: stroke}, "stack")], model
+    )
+    assert [(e.id, e.signal) for e in assemble_diagnosis(found).effects] == [("sensor_lag", TIP_DEFLECTION)]
+    first, *others = found.search.singles
+    assert max(one.gain for one in others) > found.limits.rival_of_misfit * first.gain
+
+
 def test_units_of_parameters_are_those_of_the_device():
     volts = described({**json.loads(DEVICE.document), "responses": {"moment": {"unit": "A m2"}}}, "stack")
     told = [

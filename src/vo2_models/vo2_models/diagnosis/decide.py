@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device.coefficients import HUGE
-from vo2_models.diagnosis.adequacy import Adequacy, adequacy_of
+from vo2_models.diagnosis.adequacy import Adequacy, adequacy_of, over_misfit
 from vo2_models.diagnosis.breakdown import Breakdown, breakdown
 from vo2_models.diagnosis.drift import Drift, drift_of
 from vo2_models.diagnosis.explain import Explanation, Score, score
@@ -23,7 +23,7 @@ from vo2_models.diagnosis.nonparametric_correction import (
     NonparametricCorrection,
     fit_nonparametric_correction,
 )
-from vo2_models.diagnosis.pairs import Option, trace
+from vo2_models.diagnosis.pairs import Option, option_of, trace
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.read import Reading
@@ -150,7 +150,7 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
         equivalent: tuple[str, ...] = ()
         if located.own_misfit:
             admissible = admissible and len(option.chosen.keys) == 1
-            equivalent = _equivalent(option, found.singles, limits)
+            equivalent = _as_adequate(located, option, found.singles, limits, clock)
         rivals, remaining = option.rivals, option.remaining
         hidden = admissible and found.hidden
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
@@ -339,6 +339,30 @@ def _equivalent(option: Option, singles: Sequence[Explanation], limits: Limits) 
         ):
             gains[single.keys[0]] = single.gain
     return tuple(sorted(gains, key=lambda key: -gains[key])) if len(gains) > 1 else ()
+
+
+def _as_adequate(
+    located: Located, option: Option, singles: Sequence[Explanation], limits: Limits, clock: Clock
+) -> tuple[str, ...]:
+    """Keys of the effects that gain nearly as much as an option and leave no more than it does or an unchanged device shows.
+
+    Each is fitted about itself, as the option was: what holds only where the simulation is linear does not tell what is left.
+    """
+
+    def left(one: Option) -> float:
+        return max(over_misfit(one.final, one.final.residual - one.chosen.deviation).values(), default=0.0)
+
+    most = limits.unlike_misfit * max(1.0, left(option) / limits.own_misfit)
+    rivals = {one.keys[0]: one for one in singles}
+
+    def stands(key: str) -> bool:
+        if key == option.chosen.keys[0]:
+            return True
+        rival = option_of(located.nominal, located.problem, rivals[key], (), tick=clock.tick)
+        return left(rival) <= most or rival.chosen.gain >= limits.equal_of_misfit * option.chosen.gain
+
+    kept = tuple(key for key in _equivalent(option, singles, limits) if stands(key))
+    return kept if len(kept) > 1 else ()
 
 
 def _significant(explanation: Explanation, limits: Limits) -> bool:

@@ -81,6 +81,11 @@ class Limits:
         "on a device without body, share of a name's gain from which another effect is a rival, so that neither is named: on "
         "a seal whose force was averaged a resonance gained most, and five others, the true one too, at least 95 % of it",
     )
+    equal_of_misfit: float = _limit(
+        0.99,
+        "the same share, both fitted about themselves, from which another effect is a rival whatever it leaves: a dead time and "
+        "a late clock of one response were 0.2 % apart",
+    )
     law_misfit: float = _limit(
         0.05,
         "largest error of a channel, as a share of its range, that fitted loops make of a recording unlike the calibration: "
