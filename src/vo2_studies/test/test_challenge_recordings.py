@@ -103,9 +103,9 @@ needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="needs ../shared/data 
 @needs_data
 def test_cases_of_the_measured_sets(tmp_path):
     settings = MeasuredSettings(3, str(DATA))
-    plans = [settings.plan(k) for k in range(420)]
+    plans = [settings.plan(k) for k in range(840)]
     assert {plan.device for plan in plans} == {one.name for one in settings.sets}
-    assert sum(not plan.effects for plan in plans) == 140, "a third is unchanged"
+    assert sum(not plan.effects for plan in plans) == 280, "a third is unchanged"
     assert {plan.kind for plan in plans} == {"none", "day", "one"}
     assert all((plan.condition == "remounted") == (plan.kind == "day") for plan in plans if not plan.effects)
     assert len({plan.effects for plan in plans}) == len(CHANGES) + 1
