@@ -22,7 +22,7 @@ EFFECT = Effect(
     order=45,
     equation="y = y_true + rate t + curvature t^2",
     excitation="identical loops at the start and the end of the recording",
-    source="any text on instrumentation; Fraden, Handbook of Modern Sensors, 2016, chapter 3",
+    source="any text on instrumentation",
     statement=(
         "The zero of one channel wanders, as an amplifier, a mounting or a light source does that warms up: its values move "
         "on by the same amount wherever they are, while the other channels repeat themselves."

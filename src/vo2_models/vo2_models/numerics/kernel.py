@@ -25,12 +25,12 @@ from vo2_models.numerics.interrupts import raise_again
 
 _UNWANTED = "coverage"
 """Numba loads it wherever it is installed, a tenth of a second of every node's start, and uses it in coverage runs alone."""
-if absent := _UNWANTED not in sys.modules:
+if _absent := _UNWANTED not in sys.modules:
     sys.modules[_UNWANTED] = None  # type: ignore[assignment]
 import numba  # noqa: E402
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator  # noqa: E402
 
-if absent:
+if _absent:
     del sys.modules[_UNWANTED]
 
 __all__ = ["cache_folder", "kernel", "source_digest"]
