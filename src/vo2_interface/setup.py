@@ -32,6 +32,7 @@ setup(
         (f"share/{NAME}/config", glob("config/*.yaml")),
         (f"share/{NAME}/layouts", glob("layouts/*")),
         (f"share/{NAME}/urdf", glob("urdf/*.urdf")),
+        (f"share/{NAME}/security", glob("security/*")),
     ],
     install_requires=["setuptools"],
     zip_safe=False,

@@ -13,7 +13,7 @@ import lz4.frame
 import numpy as np
 import pytest
 from bag_makers import JOINT_STATE, Sample, bag_by_rosbags, joint_state, measurements
-from vo2_identification.bags import BagError, BagWriter, read_recording
+from vo2_identification.bags import BagError, BagWriter, read_recording, reading
 from vo2_identification.bags.decompression import zstd
 from vo2_identification.bags.joint_state import encode
 
@@ -245,3 +245,18 @@ def test_memory_does_not_grow_with_the_size_of_a_bag(tmp_path, storage, megabyte
     print(f"bag of {size:.0f} MB ({storage}), 20 000 samples wanted: {peak:.1f} MB of memory at most")
     assert len(recording) == 20_000
     assert peak < 25
+
+
+def test_more_than_is_held_in_memory_is_refused_in_one_line(tmp_path, monkeypatch):
+    """A bag may be of any size: it is read until more is held than is stated."""
+    bag = bag_by_rosbags(tmp_path / "bag", measurements(300))
+    held = 300 * (1 + len(measurements(1)[0].names))
+    monkeypatch.setattr(reading, "_LOOK_EVERY", 50)
+    monkeypatch.setattr(reading, "_MOST_VALUES", 100 * held)
+    assert len(read_recording(bag)[0]) == 300
+    monkeypatch.setattr(reading, "_MOST_VALUES", held // 2)
+    with pytest.raises(
+        BagError, match=r"bag: found .* million stamps and values after \d+ messages, need at"
+    ) as told:
+        read_recording(bag)
+    assert len(str(told.value).splitlines()) == 1

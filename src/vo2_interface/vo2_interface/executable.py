@@ -22,6 +22,7 @@ from typing import Any, Protocol
 import rclpy
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
@@ -52,6 +53,7 @@ _ORDINARY: dict[int, Callable[[int, FrameType | None], Any] | signal.Handlers] =
     signal.SIGTERM: signal.SIG_DFL,
 }
 """What Python does on a signal, whatever handler was there as a node began to load."""
+_SOURCE_LINE = re.compile(r",? at /[^ ,]*:\d+")
 _BAD_FILE = re.compile(r"params file: '--params-file (.*?)'\. Error: (.*?)(?:, at /.*)?$")
 
 
@@ -219,7 +221,8 @@ def leave_graph(
 def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None) -> int:
     """Compose nodes in one executor, spin until SIGINT or SIGTERM, close them; return the exit status.
 
-    A parameter or argument that cannot be used ends with one line on standard error and status 2.
+    A parameter or argument that cannot be used, or a graph that does not let the node in, ends with one line on standard
+    error and status 2.
 
     Parameters
     ----------
@@ -284,6 +287,13 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
         if len(nodes) == len(make_nodes):
             raise
         print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except rclpy_implementation.RCLError as error:
+        if len(nodes) == len(make_nodes):
+            raise
+        # as where security is enforced without keys, or without a plug-in
+        why = _SOURCE_LINE.sub("", " ".join(str(error).split()))
+        print(f"{program}: cannot join the graph: {why}", file=sys.stderr)
         return 2
     finally:
         stop.obeyed()

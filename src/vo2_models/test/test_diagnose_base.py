@@ -8,7 +8,7 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from vo2_models.device import DeviceModel
 from vo2_models.device.coefficients import HUGE, blocks
-from vo2_models.diagnosis.adequacy import sureness
+from vo2_models.diagnosis.adequacy import adequacy_of, reached, sureness
 from vo2_models.diagnosis.breakdown import breakdown, locate
 from vo2_models.diagnosis.courses import course_columns, gain_of_course, with_courses
 from vo2_models.diagnosis.current_reading import as_commanded, between_samples, current_reading
@@ -671,3 +671,26 @@ def test_a_loose_wire_is_no_reading() -> None:
 def test_a_reading_is_not_trusted_within_a_step() -> None:
     found = between_samples(np.array([1.0, 1.002, 1.0, 1.5, 1.5]), 1e-3)
     assert found == pytest.approx([0.0, 0.0, 0.0, 0.5 * (0.5 - 3e-3), 0.0])
+
+
+def test_what_another_channel_shows_does_not_speak_against_an_effect_of_one_sensor() -> None:
+    """A resistance that is five noise powers off, beside a slow sensor of the deflection."""
+    noise = {RESISTANCE: NoiseModel(1e-3, ()), TIP_DEFLECTION: NoiseModel(2e-8, ())}
+    nominal = replace(_model(), model=_with_deflection(), noise=noise)
+    key, lag = f"sensor_lag:{TIP_DEFLECTION}", {"time_constant": 4e-3, "sampled": 0.0}
+    current, rng = _drive(3000), np.random.default_rng(1)
+    shown = nominal.respond(current, 1e-3, effects={key: {**lag, "signal": TIP_DEFLECTION}}).channels
+    channels = {
+        HEATER_CURRENT: current,
+        RESISTANCE: 10.0 ** (shown[RESISTANCE] + 2.5e-3 * rng.normal(size=3000)),
+        TIP_DEFLECTION: shown[TIP_DEFLECTION] + 2e-8 * rng.normal(size=3000),
+    }
+    problem = linearise_problem(
+        nominal, [prepare(Recording(1e-3 * np.arange(3000), channels, "integrated"), nominal)]
+    )
+    hypothesis = Hypothesis(
+        effects()["sensor_lag"], TIP_DEFLECTION, (lag,), {"time_constant": 1e-4, "sampled": 1.0}
+    )
+    option = option_of(nominal, problem, fit_jointly(problem, [hypothesis], hypothesis.starts), [])
+    assert option.remaining > 1.5 and reached(option) == {TIP_DEFLECTION}
+    assert adequacy_of(option, Limits()).left < 0.1

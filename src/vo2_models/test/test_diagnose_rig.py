@@ -9,16 +9,19 @@ import pytest
 from scipy.signal import lfilter, lsim
 from vo2_models.device.description import described, preset
 from vo2_models.diagnosis import decide, report
+from vo2_models.diagnosis import search as third_stage
 from vo2_models.diagnosis.adequacy import adequacy_of, shown
 from vo2_models.diagnosis.drift import drift_of
 from vo2_models.diagnosis.explain import either_way, fit_jointly
 from vo2_models.diagnosis.families import BY_DEPENDENCE, family_of_unnamed
 from vo2_models.diagnosis.held_out import block_folds
+from vo2_models.diagnosis.hypotheses import _late, _lateness
 from vo2_models.diagnosis.loop_shape import loop_shapes
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.nonparametric_correction import Shape, fit_nonparametric_correction
 from vo2_models.diagnosis.page import report_page
 from vo2_models.diagnosis.pipeline import study
+from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.report import assemble_diagnosis
 from vo2_models.hysteresis.preisach import PreisachOperator
 from vo2_models.identification.model_fit import fit_model
@@ -64,6 +67,12 @@ def model():
 @pytest.fixture(scope="module")
 def unchanged(model):
     return study([recorded(2)], model)
+
+
+@pytest.fixture(scope="module")
+def lagging(model):
+    """Of a sensor that lags by 3.5 samples."""
+    return study([recorded(2, change=lambda y: y[0] + lfilter([0.25], [1, -0.75], y - y[0]))], model)
 
 
 @pytest.mark.parametrize(
@@ -165,9 +174,9 @@ def test_a_name_must_be_more_likely_than_everything_else_together(unchanged, mon
     assert not says(0.45, preset("integrated")) and says(0.05, preset("integrated"))
 
 
-def test_effects_that_explain_as_much_are_told_as_a_set_without_a_name(model):
+def test_effects_that_explain_as_much_are_told_as_a_set_without_a_name(lagging):
     """A sensor that lags, on one response: others fit as well, and the answer holds it without naming one."""
-    found = study([recorded(2, change=lambda y: y[0] + lfilter([0.25], [1, -0.75], y - y[0]))], model)
+    found = lagging
     answer = assemble_diagnosis(found)
     (effect,) = answer.effects
     assert effect.id == "unknown" and len(effect.siblings) > 1 and "sensor_lag" in effect.siblings
@@ -496,3 +505,34 @@ def test_a_response_that_is_missing_is_named_as_the_device_names_it_and_units_ar
     assert [report._unit(unit, found) for unit in ("K/A^2", "K/A", "degC", "1", "s")] == [
         "K/V^2", "K/V", "degC", "1", "s",
     ]  # fmt: skip
+
+
+def test_a_late_clock_is_found_where_constants_have_moved_besides(unchanged):
+    """Measured values that stand by another zero are nearest to the simulation at no delay, or at a wrong one."""
+    problem = unchanged.located.problem
+    assert _lateness(problem, (TIP_DEFLECTION,)) == []
+    late = problem.stack(_late(problem, [TIP_DEFLECTION], 12))
+    zero = problem.nuisance.thermal[:, problem.column_of("deflection.zero")]
+    far = 5.0 * np.linalg.norm(late) / np.linalg.norm(zero) * zero
+    moved = replace(problem, residual=problem.residual + late + far)
+    assert _lateness(moved, (TIP_DEFLECTION,)) == pytest.approx([1.2])
+
+
+@pytest.mark.parametrize(("at_bound", "taken"), [((), 1), (("averaging.window",), 0)])
+def test_what_goes_to_its_bound_does_not_take_the_place_of_what_can_be_named(
+    lagging, monkeypatch, at_bound, taken
+):
+    found = lagging
+    singles = [one for one in found.search.singles if not one.at_bound][:2]
+
+    def fitted(nominal, problem, best, rivals, tick):
+        place = singles.index(best)
+        ends, gain = ((), 0.5 * best.gain) if place == 0 else (at_bound, best.gain)
+        chosen = replace(best, gain=gain, at_bound=ends, chi_square=problem.residual_chi_square - gain)
+        return SimpleNamespace(chosen=chosen)
+
+    monkeypatch.setattr(third_stage, "option_of", fitted)
+    monkeypatch.setattr(third_stage, "_in_one_switch", lambda located, alone, *others: alone)
+    monkeypatch.setattr(third_stage, "_where_told", lambda located, alone, *others: alone)
+    (option,) = third_stage._options(found.located, singles, [], found.limits, Clock(lambda *told: None, 1))
+    assert option.chosen.keys == singles[taken].keys

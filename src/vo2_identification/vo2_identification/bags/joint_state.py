@@ -77,6 +77,12 @@ class JointStates:
         self._parts: list[_Part] = []
         self._malformed: list[tuple[int, str]] = []
         self._malformed_count = 0
+        self._held = 0
+
+    @property
+    def held(self) -> int:
+        """Stamps and values that are held; of messages that wait to be decoded, their length in such."""
+        return self._held + self._waiting_bytes // 8
 
     def add(self, data: bytes) -> None:
         """Append one serialized message."""
@@ -155,6 +161,7 @@ class JointStates:
         values = np.empty((index[same].size, len(names)))
         for column, name in enumerate(names):
             values[:, column] = _column(chosen, layout.values_at + 8 * columns[name], f"{order}f8")
+        self._held += (1 + len(names)) * int(np.count_nonzero(same))
         self._parts.append(
             _Part(index[same], seconds * 1_000_000_000 + nanoseconds, layout.frame, names, values)
         )

@@ -31,7 +31,9 @@ ROLES = ("command", "measurement", "estimate", "reference")
 """Last parts of the topic names that carry samples."""
 _HELD = 4.0
 """Sample periods for which a command that was followed by none is taken as held by the driver, and not as lost to the log."""
-
+_MOST_VALUES = 20_000_000
+"""Stamps and values of one bag that are held: three million samples of four channels and their commands, some 0.5 GB."""
+_LOOK_EVERY = 1 << 14
 KNOWN_CHANNELS = (
     HEATER_CURRENT,
     RESISTANCE,
@@ -104,7 +106,7 @@ def read_bag(
 
     Raises
     ------
-    BagError : no bag.
+    BagError : no bag, or more in it than is held in memory: 20 million stamps and values, some 0.5 GB.
     """
     problems: list[Problem] = []
     topics: dict[str, JointStates] = {}
@@ -112,10 +114,15 @@ def read_bag(
     def wanted(channel: Channel) -> bool:
         return channel.msgtype == JOINT_STATE and channel.topic.endswith(tuple(roles))
 
-    for channel, _, data in raw_messages(path, problems, wanted):
+    for count, (channel, _, data) in enumerate(raw_messages(path, problems, wanted)):
         if channel.topic not in topics:
             topics[channel.topic] = JointStates(channels)
         topics[channel.topic].add(data)
+        if count % _LOOK_EVERY == 0 and (held := sum(topic.held for topic in topics.values())) > _MOST_VALUES:
+            raise BagError(
+                f"{path}: found {held / 1e6:.3g} million stamps and values after {count + 1} messages, need at most "
+                f"{_MOST_VALUES / 1e6:g} million; record a bag for each experiment"
+            )
     samples = {topic: collected.samples() for topic, collected in topics.items()}
     recordings = {}
     for role in roles:

@@ -19,7 +19,7 @@ from vo2_models.diagnosis.pairs import Option, trace
 from vo2_models.diagnosis.problem import LinearisedProblem, at_sensor
 from vo2_models.diagnosis.propagate_correction import as_sensed
 
-__all__ = ["Adequacy", "adequacy_of", "over_misfit", "shown", "sureness", "where_told"]
+__all__ = ["Adequacy", "adequacy_of", "over_misfit", "reached", "shown", "sureness", "where_told"]
 
 Floats = NDArray[np.float64]
 CONCENTRATED = 4
@@ -34,7 +34,8 @@ class Adequacy:
     ----------
     keys : of the effects that it has
     share : of the excess that is explained, 0 to 1
-    left : excess power that is left, in noise powers of a sample, beyond what an equation a little off leaves of its own
+    left : excess power that is left in the channels that its effects reach, in noise powers of a sample, beyond what an equation
+        a little off leaves of its own: what another channel shows, they cannot explain
     sigmas : how surely its effects act, see `sureness`; infinite where the values themselves show one
     told : share of the samples that this is judged by
     """
@@ -70,11 +71,40 @@ def adequacy_of(option: Option, limits: Limits) -> Adequacy:
     chosen, count, remaining = option.chosen, option.final.count, max(option.remaining, 0.0)
     gain = max(chosen.gain, 0.0)
     share = gain / max(gain + count * remaining, 1e-300)
-    left = max(remaining - limits.equation * gain / count, 0.0)
+    beside, others = _left_in(option.final, option.final.residual - chosen.deviation, reached(option))
+    left = max(beside - limits.equation * gain / others, 0.0)
     # what this device's law misses of its own calibration is no sign of something else
     beyond, judged = _beyond_misfit(option, limits)
     told = judged.final.count / option.final.count
     return Adequacy(chosen.keys, share, left * max(beyond, default=1.0), sureness(judged), told)
+
+
+def reached(option: Option) -> set[str]:
+    """Return the channels in which an explanation does more than nothing.
+
+    Parameters
+    ----------
+    option : with the problem about it
+    """
+    acting = trace(option.final)
+    device = option.final.nominal.device
+    known = {
+        channel for one in option.chosen.hypotheses for channel in one.record.reaches(device, one.signal)
+    }
+    # what is simulated between the samples differs a little everywhere
+    return {
+        row.channel
+        for row in option.final.rows
+        if row.channel in known and float(np.sum(acting[row.where] ** 2)) > 1.0
+    }
+
+
+def _left_in(problem: LinearisedProblem, residual: Floats, channels: set[str]) -> tuple[float, int]:
+    """Excess power over noise power that is left of a residual (N,) in some channels, and their samples that count."""
+    after = problem.apply_inverse_covariance(residual)
+    rows = [row.where for row in problem.rows if row.channel in channels]
+    count = sum(int(np.count_nonzero(problem.weight[where])) for where in rows)
+    return sum(float(residual[where] @ after[where]) for where in rows) / max(count, 1) - 1.0, max(count, 1)
 
 
 def over_misfit(problem: LinearisedProblem, residual: Floats) -> dict[str, float]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device.coefficients import HUGE
-from vo2_models.diagnosis.adequacy import Adequacy, adequacy_of, over_misfit
+from vo2_models.diagnosis.adequacy import Adequacy, adequacy_of, over_misfit, reached
 from vo2_models.diagnosis.breakdown import Breakdown, breakdown
 from vo2_models.diagnosis.drift import Drift, drift_of
 from vo2_models.diagnosis.explain import Explanation, Score, score
@@ -298,15 +298,9 @@ def _is_admissible(option: Option, judged: HeldOut, adequacy: Adequacy, limits: 
     )
 
 
-def _reached(option: Option) -> set[str]:
-    """Channels in which an explanation does more than nothing."""
-    acting = trace(option.final)
-    return {row.channel for row in option.final.rows if float(np.sum(acting[row.where] ** 2)) > 1.0}
-
-
 def _worsens(option: Option, judged: HeldOut) -> bool:
     """Whether a channel that an explanation reaches is predicted worse with it than without, by more than its noise."""
-    return any(judged.after[c] > judged.before[c] + judged.floor[c] for c in _reached(option))
+    return any(judged.after[c] > judged.before[c] + judged.floor[c] for c in reached(option))
 
 
 def _stands_for_constants(option: Option, singles: Sequence[Explanation], limits: Limits) -> bool:
@@ -314,10 +308,16 @@ def _stands_for_constants(option: Option, singles: Sequence[Explanation], limits
 
     On held-out blocks such an effect gains nothing, as the constants are moved there too. What tells is how far they
     would have to move from the calibration: a dead time that has doubled is named, a gain that many effects mimic is not.
+    Those that act on the same sensor count as one here: which of them it is, their probabilities tell.
     """
     chosen = option.chosen
-    own = chosen.hypotheses[0].record.id
-    others = [e.gain for e in singles if e.hypotheses[0].record.id != own]
+    own = chosen.hypotheses[0]
+    others = [
+        e.gain
+        for e in singles
+        if e.hypotheses[0].record.id != own.record.id
+        and not (own.signal and e.hypotheses[0].signal == own.signal)
+    ]
     return len(chosen.keys) == 1 and chosen.gain - max(others, default=0.0) > limits.apart
 
 

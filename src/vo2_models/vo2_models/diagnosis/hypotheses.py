@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from vo2_models.device.coefficients import HUGE
+from vo2_models.diagnosis.nominal import Response
 from vo2_models.diagnosis.problem import LATEST, LinearisedProblem
 from vo2_models.effects import Effect, effects
 from vo2_models.effects.record import CHOICE
@@ -42,6 +43,8 @@ COARSE = 2.0
 """Least pitch of a ripple behind a coarse converter, in its steps: what is finer is the steps'."""
 MOST_LATE, ENOUGH = 200, 20_000
 """Longest delay that is looked for sample by sample, below what the ring of a late channel holds; samples that tell it."""
+APART = 24
+"""Delays among these at which what the nuisance model leaves is looked at, before those near to the best."""
 CRESTS, MOST_CRESTS = 1.5, 100
 """Least and largest number of crests of a ripple over the values that were measured: fewer are a bend, more no start is near."""
 
@@ -364,9 +367,10 @@ def _frequencies(
 
 
 def _lateness(problem: LinearisedProblem, channels: Sequence[str]) -> list[float]:
-    """Delay [s] of whole samples at which the simulation is nearest to these channels; none where they are not late.
+    """Delays [s] of whole samples at which the simulation is nearest to these channels; none where they are not late.
 
-    Squared distance over the noise of the measured values from the simulated ones, which are `MOST_LATE` samples older at most.
+    By the squared distance over the noise of the measured values from the simulated ones, which are `MOST_LATE` samples older at
+    most; and by what the nuisance model leaves of that distance: constants that have moved hide a delay, or look like one.
     """
     misfit = np.zeros(MOST_LATE + 1)
     for row, part, response in problem.iterate():
@@ -380,8 +384,32 @@ def _lateness(problem: LinearisedProblem, channels: Sequence[str]) -> list[float
             misfit[late] += (
                 float(np.sum((measured - simulated[np.maximum(counts - late, 0)]) ** 2)) / noise**2
             )
-    best = int(np.argmin(misfit))
-    return [best * max(part.dt for part in problem.parts)] if best else []
+
+    def nearest(some: Sequence[int]) -> int:
+        """The one that leaves least."""
+        columns = [problem.residual - problem.stack(_late(problem, channels, late)) for late in some]
+        return int(np.argmin(problem.chi_squares(np.column_stack(columns))))
+
+    apart = [0, *np.unique(np.round(np.geomspace(1, MOST_LATE, APART)).astype(int)).tolist()]
+    place = nearest(apart)
+    near = range(apart[max(place - 1, 0)], apart[min(place + 1, len(apart) - 1)] + 1)
+    near = near[:: max(1, len(near) // APART)]
+    best = {int(np.argmin(misfit)), near[nearest(near)]}
+    return [late * max(part.dt for part in problem.parts) for late in sorted(best - {0})]
+
+
+def _late(problem: LinearisedProblem, channels: Sequence[str], late: int) -> list[Response]:
+    """The nominal responses with some channels as they were so many samples before."""
+    return [
+        replace(
+            response,
+            channels={
+                c: values[np.maximum(np.arange(values.size) - late, 0)] if c in channels else values
+                for c, values in response.channels.items()
+            },
+        )
+        for response in problem.nominal_responses
+    ]
 
 
 def _is_pitch(parameter: Parameter, record: Effect) -> bool:

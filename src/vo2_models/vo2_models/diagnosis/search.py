@@ -230,7 +230,10 @@ def _options(
         if other.gain <= alone.chosen.gain:
             break
         again = option_of(located.nominal, problem, other, singles, tick=clock.tick)
-        if cost(again.chosen, problem, limits) < cost(alone.chosen, problem, limits):
+        # one that went to its bound would not be named
+        if not again.chosen.at_bound and cost(again.chosen, problem, limits) < cost(
+            alone.chosen, problem, limits
+        ):
             alone = again
     alone = _in_one_switch(located, alone, limits, clock)
     if located.own_misfit:  # beside a misfit that is no noise a second effect is never named

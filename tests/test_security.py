@@ -1,0 +1,174 @@
+"""SROS 2: what is shipped for it covers the graph as it is, and nobody joins an enforced graph without keys."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from test_plain_start import installed, plain_environment, running
+from vo2_control.controller_node import ControllerNode
+from vo2_control.feedforward_node import FeedforwardNode
+from vo2_control.reference_node import ReferenceNode
+from vo2_estimation.estimator_node import EstimatorNode
+from vo2_identification.identifier_node import IdentifierNode
+from vo2_interface.beam import BeamNode
+from vo2_interface.supervise import SuperviseNode
+from vo2_interface.testing import bench
+from vo2_plant_sim.plant_node import PlantNode
+
+SHIPPED = Path(__file__).parents[1] / "src" / "vo2_interface" / "security"
+INCLUDE = "{http://www.w3.org/2001/XInclude}include"
+COMMANDERS = {"/vo2/controller", "/vo2/feedforward", "/vo2/identifier"}
+KINDS = {
+    ("topics", "publish"): "get_publisher_names_and_types_by_node",
+    ("topics", "subscribe"): "get_subscriber_names_and_types_by_node",
+    ("services", "reply"): "get_service_names_and_types_by_node",
+    ("services", "request"): "get_client_names_and_types_by_node",
+}
+HEAR_S = 15.0
+COMMAND = """
+import rclpy, sys, time
+from sensor_msgs.msg import JointState
+rclpy.init(args=sys.argv)
+node = rclpy.create_node("intruder", namespace="/vo2")
+publisher = node.create_publisher(JointState, "/vo2/command", 10)
+end = time.monotonic() + 8.0
+sample = 0
+while time.monotonic() < end:
+    message = JointState(name=["heater_current"], position=[0.005])
+    message.header.stamp.sec = 1  # where simulated time begins
+    message.header.stamp.nanosec = 1_000_000 * (sample % 20)
+    publisher.publish(message)
+    rclpy.spin_once(node, timeout_sec=0.02)
+    sample += 1
+"""
+LISTEN = f"""
+import rclpy, sys, time
+from sensor_msgs.msg import JointState
+rclpy.init(args=sys.argv)
+node = rclpy.create_node("recorder", namespace="/vo2")
+stamps = set()
+node.create_subscription(JointState, "/vo2/measurement", lambda m: stamps.add(m.header.stamp.nanosec), 10)
+end = time.monotonic() + {HEAR_S}
+while time.monotonic() < end:
+    rclpy.spin_once(node, timeout_sec=0.05)
+print("heard", len(stamps))
+"""
+
+
+def allowed():
+    """Enclave -> (kind, way) -> full names that it may use, the files that the policy includes read in their place."""
+    found = {}
+    for enclave in ElementTree.parse(SHIPPED / "policy.xml").getroot().iter("enclave"):
+        (profile,) = enclave.iter("profile")
+        space, node = profile.get("ns"), profile.get("node")
+        assert enclave.get("path") == f"{space}/{node}"
+        rules = found.setdefault(enclave.get("path"), {kind: set() for kind in KINDS})
+        parts = list(profile)
+        for part in parts:
+            if part.tag == INCLUDE:
+                parts += list(ElementTree.parse(SHIPPED / part.get("href")).getroot())
+                continue
+            (way,) = part.attrib
+            for name in part:
+                text = name.text.replace("~", node)
+                rules[part.tag, way].add(text if text.startswith("/") else f"{space}/{text}")
+    return found
+
+
+def test_the_shipped_policy_allows_each_node_what_it_does_and_no_other_node_to_command():
+    rules = allowed()
+    kinds = [
+        PlantNode,
+        EstimatorNode,
+        ReferenceNode,
+        ControllerNode,
+        FeedforwardNode,
+        IdentifierNode,
+        BeamNode,
+    ]
+    for kind in [*kinds, SuperviseNode]:
+        more = ["-p", "run:=['vo2_control reference']"] if kind is SuperviseNode else []
+        with bench(["--ros-args", *more] if more else []) as rig:
+            node = rig.add(kind)
+            name, space = node.get_name(), node.get_namespace()
+            rig.until(lambda: (name, space) in rig.node.get_node_names_and_namespaces())  # noqa: B023
+            rig.spin(0.3)
+            for kind_of, asked in KINDS.items():
+                used = {each for each, _ in getattr(rig.node, asked)(name, space)}
+                assert used <= rules[f"{space}/{name}"][kind_of], (name, kind_of)
+    may_command = {path for path, own in rules.items() if "/vo2/command" in own["topics", "publish"]}
+    assert may_command == COMMANDERS
+    called = rules["/vo2/operator"]["services", "request"]
+    replied = set().union(*(own["services", "reply"] for own in rules.values()))
+    assert called <= replied and {"/vo2/identifier/start", "/vo2/plant/emergency_stop"} <= called
+
+
+@pytest.mark.parametrize(
+    ("package", "executable"), [("vo2_plant_sim", "plant"), ("vo2_control", "controller")]
+)
+def test_a_node_without_keys_does_not_join_an_enforced_graph(tmp_path, package, executable):
+    """Neither with a Fast DDS that has the security plug-in nor with one that has not."""
+    (tmp_path / "enclaves" / "vo2" / executable).mkdir(parents=True)
+    environment = {**plain_environment(), **enforced(tmp_path)}
+    command = [installed(package, executable), "--ros-args", "--enclave", f"/vo2/{executable}"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    (line,) = [text for text in done.stderr.splitlines() if text.startswith(executable)]
+    assert re.search("cannot join the graph: .*secur", line, re.IGNORECASE)
+    assert "Traceback" not in done.stderr
+
+
+def test_keys_are_made_by_the_tools_of_ros_or_not_at_all(tmp_path):
+    def made(*arguments):
+        path = {"PATH": "/usr/bin:/bin"}
+        return subprocess.run(
+            ["/bin/sh", str(SHIPPED / "make_keys.sh"), *arguments], env=path, capture_output=True, text=True
+        )
+
+    few, without = made(), made(str(tmp_path / "keys"))
+    assert few.returncode == 2 and "found 0 arguments" in few.stderr
+    if without.returncode:
+        assert without.returncode == 2 and "found no 'ros2 security'" in without.stderr
+        assert not (tmp_path / "keys").exists()
+
+
+def enforced(keys):
+    """Variables of a process that joins with these keys, or not at all."""
+    names = ("ROS_SECURITY_KEYSTORE", "ROS_SECURITY_ENABLE", "ROS_SECURITY_STRATEGY")
+    return dict(zip(names, (str(keys), "true", "Enforce"), strict=True))
+
+
+@pytest.mark.parametrize("security", [False, True], ids=["open", "enforced"])
+@pytest.mark.parametrize("keys_of", ["nobody", "operator"])
+def test_who_has_no_right_to_command_moves_no_current(tmp_path, security, keys_of):
+    """Lockstep: the plant gives its next sample for a command. In an open graph the intruder is obeyed, which shows the test."""
+    if security and not shutil.which("ros2"):
+        pytest.skip("needs sros2 and a Fast DDS with its security plug-in: the wheels have neither")
+    environment = plain_environment()
+    keys, own = tmp_path / "keys", {}
+    if security:
+        subprocess.run([SHIPPED / "make_keys.sh", keys], check=True, timeout=60)
+        own = enforced(keys)
+
+    def enclave(name):
+        return ["--ros-args", "--enclave", f"/vo2/{name}"] if security else []
+
+    intruder = enclave("operator") if keys_of == "operator" else []
+    with running([installed("vo2_plant_sim", "plant"), *enclave("plant")], {**environment, **own}) as plant:
+        listener = [sys.executable, "-c", LISTEN, *enclave("recorder")]
+        with running(listener, {**environment, **own}) as ear:
+            time.sleep(2.0)
+            theirs = own if keys_of == "operator" else {}
+            with running([sys.executable, "-c", COMMAND, *intruder], {**environment, **theirs}) as other:
+                told = ear.communicate(timeout=HEAR_S + 60.0)[0]
+                assert other.wait(60.0) == 0 or security
+        assert plant.poll() is None
+    heard = int(told.split("heard")[1])
+    assert heard == 1 if security else heard > 1
