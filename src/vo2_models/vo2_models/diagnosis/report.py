@@ -573,7 +573,7 @@ def _of_what(study: Study) -> str:
 
 def _refitted(study: Study) -> str:
     """Say that the nominal device was fitted anew, where it was."""
-    return ", the nominal device fitted to all recordings," if study.reading.first_use else ""
+    return " (the nominal device fitted to all of them)" if study.reading.first_use else ""
 
 
 def _taken_up(study: Study) -> str:
