@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, lsim
 from vo2_models.device.description import described, preset
-from vo2_models.diagnosis import decide, report
+from vo2_models.diagnosis import decide, hypotheses, report
 from vo2_models.diagnosis import search as third_stage
 from vo2_models.diagnosis.adequacy import adequacy_of, shown
 from vo2_models.diagnosis.drift import drift_of
@@ -507,7 +507,7 @@ def test_a_response_that_is_missing_is_named_as_the_device_names_it_and_units_ar
     ]  # fmt: skip
 
 
-def test_a_late_clock_is_found_where_constants_have_moved_besides(unchanged):
+def test_a_late_clock_is_found_where_constants_have_moved_besides(unchanged, monkeypatch):
     """Measured values that stand by another zero are nearest to the simulation at no delay, or at a wrong one."""
     problem = unchanged.located.problem
     assert _lateness(problem, (TIP_DEFLECTION,)) == []
@@ -516,6 +516,8 @@ def test_a_late_clock_is_found_where_constants_have_moved_besides(unchanged):
     far = 5.0 * np.linalg.norm(late) / np.linalg.norm(zero) * zero
     moved = replace(problem, residual=problem.residual + late + far)
     assert _lateness(moved, (TIP_DEFLECTION,)) == pytest.approx([1.2])
+    monkeypatch.setattr(hypotheses, "LONG", problem.weight.size - 1)
+    assert _lateness(moved, (TIP_DEFLECTION,)) == []
 
 
 @pytest.mark.parametrize(("at_bound", "taken"), [((), 1), (("averaging.window",), 0)])

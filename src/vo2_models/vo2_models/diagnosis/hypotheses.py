@@ -43,6 +43,8 @@ COARSE = 2.0
 """Least pitch of a ripple behind a coarse converter, in its steps: what is finer is the steps'."""
 MOST_LATE, ENOUGH = 200, 20_000
 """Longest delay that is looked for sample by sample, below what the ring of a late channel holds; samples that tell it."""
+LONG = 400_000
+"""Values of all channels together from which that takes too long."""
 APART = 24
 """Delays among these at which what the nuisance model leaves is looked at, before those near to the best."""
 CRESTS, MOST_CRESTS = 1.5, 100
@@ -370,7 +372,8 @@ def _lateness(problem: LinearisedProblem, channels: Sequence[str]) -> list[float
     """Delays [s] of whole samples at which the simulation is nearest to these channels; none where they are not late.
 
     By the squared distance over the noise of the measured values from the simulated ones, which are `MOST_LATE` samples older at
-    most; and by what the nuisance model leaves of that distance: constants that have moved hide a delay, or look like one.
+    most; and by what the nuisance model leaves of that distance: constants that have moved hide a delay, or look like one. Of
+    long recordings by the first alone, which looks at some samples only.
     """
     misfit = np.zeros(MOST_LATE + 1)
     for row, part, response in problem.iterate():
@@ -385,6 +388,10 @@ def _lateness(problem: LinearisedProblem, channels: Sequence[str]) -> list[float
                 float(np.sum((measured - simulated[np.maximum(counts - late, 0)]) ** 2)) / noise**2
             )
 
+    best, period = {int(np.argmin(misfit))}, max(part.dt for part in problem.parts)
+    if problem.weight.size > LONG:
+        return [late * period for late in best - {0}]
+
     def nearest(some: Sequence[int]) -> int:
         """The one that leaves least."""
         columns = [problem.residual - problem.stack(_late(problem, channels, late)) for late in some]
@@ -394,8 +401,8 @@ def _lateness(problem: LinearisedProblem, channels: Sequence[str]) -> list[float
     place = nearest(apart)
     near = range(apart[max(place - 1, 0)], apart[min(place + 1, len(apart) - 1)] + 1)
     near = near[:: max(1, len(near) // APART)]
-    best = {int(np.argmin(misfit)), near[nearest(near)]}
-    return [late * max(part.dt for part in problem.parts) for late in sorted(best - {0})]
+    best.add(near[nearest(near)])
+    return [late * period for late in sorted(best - {0})]
 
 
 def _late(problem: LinearisedProblem, channels: Sequence[str], late: int) -> list[Response]:
