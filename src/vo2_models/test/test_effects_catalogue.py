@@ -526,6 +526,8 @@ def test_new_terms_follow_their_equations():
     assert run[RESISTANCE] - base[RESISTANCE] == pytest.approx(100.0 * 1e-3 * np.arange(60), abs=1e-6)
     _, run = _pair("source_compression", "integrated", hot, compression=2000.0)
     assert run[HEATER_CURRENT] == pytest.approx(8.2e-3 / (1 + 2000.0 * 8.2e-3**2))
+    _, run = _pair("source_compression", "integrated", hot, compression=2000.0, exponent=5.0)
+    assert run[HEATER_CURRENT] == pytest.approx(8.2e-3 / (1 + (2000.0 * 8.2e-3**2) ** 2.5))
     _, run = _pair("drive_gain_drift", "integrated", hot, rate=1.0)
     assert run[HEATER_CURRENT] == pytest.approx(8.2e-3 * (1 + 1e-3 * np.arange(60)))
     base, run = _pair("drive_gain_drift", "integrated", np.full(3000, 4e-3), rate=0.1, logged=0.0)
