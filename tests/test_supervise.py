@@ -75,6 +75,21 @@ def test_what_dies_or_hangs_runs_again_and_ends_with_the_supervisor(rig):
             os.kill(pid, 0)
 
 
+def test_who_comes_late_is_told_what_runs(tmp_path):
+    parameters = tmp_path / "rig.yaml"
+    parameters.write_text(json.dumps({"/**": {"ros__parameters": {"run": ["vo2_control reference"]}}}))
+    with bench() as found, (tmp_path / "log").open("w") as log:
+        line = [installed("vo2_interface", "supervise"), "--ros-args", "--params-file", str(parameters)]
+        process = subprocess.Popen(line, stdout=log, stderr=subprocess.STDOUT)
+        try:
+            found.until(lambda: pid_of(found, "reference"), 60.0)
+            found.statuses.clear()
+            found.until(lambda: pid_of(found, "reference"), 10.0)
+        finally:
+            process.send_signal(signal.SIGINT)
+            assert process.wait(30.0) == 0
+
+
 def test_what_cannot_be_used_is_told():
     def refused(*arguments):
         line = [

@@ -44,6 +44,7 @@ SUPERVISE_PARAMETERS = (
     ),
 )
 _LOOK_S = 0.1
+_BEAT_S = 1.0
 _SHORT_LIFE_S = 20.0
 """A process that dies sooner after its start waits longer before the next [s]."""
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.5, 30.0
@@ -99,6 +100,7 @@ class SuperviseNode(Node):
             )
         self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_beat, READ_QOS)
         create_steady_timer(self, _LOOK_S, self._look)
+        create_steady_timer(self, _BEAT_S, self._diagnostics.beat)  # for who comes late
 
     def close(self) -> None:
         """End the processes in the order opposite to their start: who commands goes before what is commanded."""
