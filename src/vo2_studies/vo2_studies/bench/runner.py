@@ -68,7 +68,7 @@ def table(entry: Entry, figure: Figure) -> str:
     if entry.target is not None:
         sign = ">=" if entry.above else "<="
         target = f"{sign} {entry.target:g}" + (" x" if entry.of == "ratio" else f" {figure.unit}")
-    columns = f"{entry.name:<24}{figure.value:>12.4g} {figure.unit:<10}{yardstick:>10}{ratio:>8}  {target:<18}{verdict:<9}"
+    columns = f"{entry.name:<24}{figure.value:>12.4g} {figure.unit:<10}{yardstick:>10}{ratio:>8}  {target:<20}{verdict:<9}"
     return (columns + figure.note).rstrip()
 
 
@@ -136,7 +136,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ValueError as error:
         print(f"bench: {error}", file=sys.stderr)
         return 2
-    head = f"{'name':<24}{'value':>12} {'unit':<10}{'yardstick':>10}{'ratio':>8}  {'target':<18}"
+    head = f"{'name':<24}{'value':>12} {'unit':<10}{'yardstick':>10}{'ratio':>8}  {'target':<20}"
     print(head.rstrip(), flush=True)
     figures: dict[str, dict[str, float | str | None]] = {}
     for entry in chosen:
