@@ -64,20 +64,20 @@ print("heard", len(stamps))
 
 def allowed():
     """Enclave -> (kind, way) -> full names that it may use, the files that the policy includes read in their place."""
-    found = {}
+    found: dict[str, dict[tuple[str, str], set[str]]] = {}
     for enclave in ElementTree.parse(SHIPPED / "policy.xml").getroot().iter("enclave"):
         (profile,) = enclave.iter("profile")
-        space, node = profile.get("ns"), profile.get("node")
+        space, node = profile.attrib["ns"], profile.attrib["node"]
         assert enclave.get("path") == f"{space}/{node}"
-        rules = found.setdefault(enclave.get("path"), {kind: set() for kind in KINDS})
+        rules = found.setdefault(f"{space}/{node}", {kind: set() for kind in KINDS})
         parts = list(profile)
         for part in parts:
             if part.tag == INCLUDE:
-                parts += list(ElementTree.parse(SHIPPED / part.get("href")).getroot())
+                parts += list(ElementTree.parse(SHIPPED / part.attrib["href"]).getroot())
                 continue
             (way,) = part.attrib
             for name in part:
-                text = name.text.replace("~", node)
+                text = str(name.text).replace("~", node)
                 rules[part.tag, way].add(text if text.startswith("/") else f"{space}/{text}")
     return found
 
