@@ -7,17 +7,23 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from rclpy.node import Node
+from rig_template.rig_node import RigNode
 from test_plain_start import installed, plain_environment, running
 from vo2_control.controller_node import ControllerNode
 from vo2_control.feedforward_node import FeedforwardNode
 from vo2_control.reference_node import ReferenceNode
 from vo2_estimation.estimator_node import EstimatorNode
+from vo2_identification.bags import BagWriter
 from vo2_identification.identifier_node import IdentifierNode
+from vo2_identification.recorder_node import Recorder
 from vo2_interface.beam import BeamNode
+from vo2_interface.live.node import LiveNode
 from vo2_interface.supervise import SuperviseNode
 from vo2_interface.testing import bench
 from vo2_plant_sim.plant_node import PlantNode
@@ -52,7 +58,7 @@ LISTEN = f"""
 import rclpy, sys, time
 from sensor_msgs.msg import JointState
 rclpy.init(args=sys.argv)
-node = rclpy.create_node("recorder", namespace="/vo2")
+node = rclpy.create_node("recorder")
 stamps = set()
 node.create_subscription(JointState, "/vo2/measurement", lambda m: stamps.add(m.header.stamp.nanosec), 10)
 end = time.monotonic() + {HEAR_S}
@@ -68,6 +74,7 @@ def allowed():
     for enclave in ElementTree.parse(SHIPPED / "policy.xml").getroot().iter("enclave"):
         (profile,) = enclave.iter("profile")
         space, node = profile.attrib["ns"], profile.attrib["node"]
+        space = space.rstrip("/")
         assert enclave.get("path") == f"{space}/{node}"
         rules = found.setdefault(f"{space}/{node}", {kind: set() for kind in KINDS})
         parts = list(profile)
@@ -82,27 +89,30 @@ def allowed():
     return found
 
 
-def test_the_shipped_policy_allows_each_node_what_it_does_and_no_other_node_to_command():
+def test_the_shipped_policy_allows_each_node_what_it_does_and_no_other_node_to_command(tmp_path):
     rules = allowed()
-    kinds = [
-        PlantNode,
-        EstimatorNode,
-        ReferenceNode,
-        ControllerNode,
-        FeedforwardNode,
-        IdentifierNode,
-        BeamNode,
-    ]
-    for kind in [*kinds, SuperviseNode]:
-        more = ["-p", "run:=['vo2_control reference']"] if kind is SuperviseNode else []
-        with bench(["--ros-args", *more] if more else []) as rig:
-            node = rig.add(kind)
+    bag = BagWriter(tmp_path / "bag")
+    makers: dict[Callable[[], Node], tuple[str, ...]] = {
+        **dict.fromkeys((PlantNode, EstimatorNode, ReferenceNode, ControllerNode), ()),
+        **dict.fromkeys((FeedforwardNode, IdentifierNode, BeamNode), ()),
+        SuperviseNode: ("-p", "run:=['vo2_control reference']"),
+        LiveNode: ("-p", "port:=0"),
+        RigNode: ("-p", "autostart:=false"),
+        (lambda: Recorder(bag)): (),
+    }
+    looked_at = set()
+    for make, parameters in makers.items():
+        with bench(["--ros-args", *parameters] if parameters else []) as rig:
+            node = rig.add(make)
             name, space = node.get_name(), node.get_namespace()
             rig.until(lambda: (name, space) in rig.node.get_node_names_and_namespaces())  # noqa: B023
             rig.spin(0.3)
-            for kind_of, asked in KINDS.items():
+            looked_at.add(enclave := f"{space.rstrip('/')}/{name}")
+            for kind, asked in KINDS.items():
                 used = {each for each, _ in getattr(rig.node, asked)(name, space)}
-                assert used <= rules[f"{space}/{name}"][kind_of], (name, kind_of)
+                assert used <= rules[enclave][kind], (name, kind)
+    bag.close()
+    assert looked_at == set(rules) - {"/vo2/operator"}
     may_command = {path for path, own in rules.items() if "/vo2/command" in own["topics", "publish"]}
     assert may_command == COMMANDERS
     called = rules["/vo2/operator"]["services", "request"]
@@ -125,7 +135,7 @@ def test_a_node_without_keys_does_not_join_an_enforced_graph(tmp_path, package, 
     assert "Traceback" not in done.stderr
 
 
-def test_keys_are_made_by_the_tools_of_ros_or_not_at_all(tmp_path):
+def test_keys_are_not_made_without_the_tools_of_ros(tmp_path):
     def made(*arguments):
         path = {"PATH": "/usr/bin:/bin"}
         return subprocess.run(
@@ -134,9 +144,8 @@ def test_keys_are_made_by_the_tools_of_ros_or_not_at_all(tmp_path):
 
     few, without = made(), made(str(tmp_path / "keys"))
     assert few.returncode == 2 and "found 0 arguments" in few.stderr
-    if without.returncode:
-        assert without.returncode == 2 and "found no 'ros2 security'" in without.stderr
-        assert not (tmp_path / "keys").exists()
+    assert without.returncode == 2 and "found no 'ros2 security'" in without.stderr
+    assert not (tmp_path / "keys").exists()
 
 
 def enforced(keys):
@@ -145,11 +154,24 @@ def enforced(keys):
     return dict(zip(names, (str(keys), "true", "Enforce"), strict=True))
 
 
+def has_security():
+    """Whether there are the tools for keys, and a Fast DDS that was built with its plug-in."""
+    if (
+        not shutil.which("ros2")
+        or subprocess.run(["ros2", "security", "--help"], capture_output=True).returncode
+    ):
+        return False
+    join = "import rclpy; rclpy.init(); rclpy.create_node('x')"
+    environment = {**plain_environment(), **enforced("/nowhere")}
+    tried = subprocess.run([sys.executable, "-c", join], env=environment, capture_output=True, text=True)
+    return "doesn't have the security libraries" not in tried.stderr
+
+
 @pytest.mark.parametrize("security", [False, True], ids=["open", "enforced"])
 @pytest.mark.parametrize("keys_of", ["nobody", "operator"])
 def test_who_has_no_right_to_command_moves_no_current(tmp_path, security, keys_of):
     """Lockstep: the plant gives its next sample for a command. In an open graph the intruder is obeyed, which shows the test."""
-    if security and not shutil.which("ros2"):
+    if security and not has_security():
         pytest.skip("needs sros2 and a Fast DDS with its security plug-in: the wheels have neither")
     environment = plain_environment()
     keys, own = tmp_path / "keys", {}
@@ -158,11 +180,13 @@ def test_who_has_no_right_to_command_moves_no_current(tmp_path, security, keys_o
         own = enforced(keys)
 
     def enclave(name):
-        return ["--ros-args", "--enclave", f"/vo2/{name}"] if security else []
+        return ["--ros-args", "--enclave", name] if security else []
 
-    intruder = enclave("operator") if keys_of == "operator" else []
-    with running([installed("vo2_plant_sim", "plant"), *enclave("plant")], {**environment, **own}) as plant:
-        listener = [sys.executable, "-c", LISTEN, *enclave("recorder")]
+    intruder = enclave("/vo2/operator") if keys_of == "operator" else []
+    with running(
+        [installed("vo2_plant_sim", "plant"), *enclave("/vo2/plant")], {**environment, **own}
+    ) as plant:
+        listener = [sys.executable, "-c", LISTEN, *enclave("/recorder")]
         with running(listener, {**environment, **own}) as ear:
             time.sleep(2.0)
             theirs = own if keys_of == "operator" else {}

@@ -32,7 +32,7 @@ ROLES = ("command", "measurement", "estimate", "reference")
 _HELD = 4.0
 """Sample periods for which a command that was followed by none is taken as held by the driver, and not as lost to the log."""
 _MOST_VALUES = 20_000_000
-"""Stamps and values of one bag that are held: three million samples of four channels and their commands, some 0.5 GB."""
+"""Stamps and values of one bag that are held: 2.8 million samples of four channels and their commands, some 0.6 GB."""
 _LOOK_EVERY = 1 << 14
 KNOWN_CHANNELS = (
     HEATER_CURRENT,
@@ -106,7 +106,7 @@ def read_bag(
 
     Raises
     ------
-    BagError : no bag, or more in it than is held in memory: 20 million stamps and values, some 0.5 GB.
+    BagError : no bag, or more in it than is held in memory: 20 million stamps and values, some 0.6 GB.
     """
     problems: list[Problem] = []
     topics: dict[str, JointStates] = {}
