@@ -101,10 +101,9 @@ def reached(option: Option) -> set[str]:
 
 def _left_in(problem: LinearisedProblem, residual: Floats, channels: set[str]) -> tuple[float, int]:
     """Excess power over noise power that is left of a residual (N,) in some channels, and their samples that count."""
-    after = problem.apply_inverse_covariance(residual)
-    rows = [row.where for row in problem.rows if row.channel in channels]
-    count = sum(int(np.count_nonzero(problem.weight[where])) for where in rows)
-    return sum(float(residual[where] @ after[where]) for where in rows) / max(count, 1) - 1.0, max(count, 1)
+    energy = problem.energy_by_channel(residual, problem.apply_inverse_covariance(residual))
+    count = max(sum(problem.count_by_channel[channel] for channel in channels), 1)
+    return sum(energy[channel] for channel in channels) / count - 1.0, count
 
 
 def over_misfit(problem: LinearisedProblem, residual: Floats) -> dict[str, float]:

@@ -194,12 +194,7 @@ def _excess(
 
     Of a device that is fitted anew, by what that leaves: what its large moves cost is nothing that a channel has too much.
     """
-    own: dict[str, list[float]] = {}
-    for row, _, _ in problem.iterate():
-        left = remaining[row.where]
-        energy = float((left if problem.refits else problem.residual[row.where]) @ left)
-        count = float(np.count_nonzero(problem.weight[row.where]))
-        total = own.setdefault(row.channel, [0.0, 0.0])
-        total[0] += energy
-        total[1] += count
-    return {c: e / max(n, 1.0) - 1.0 for c, (e, n) in own.items()}, chi_square / max(problem.count, 1) - 1.0
+    energy = problem.energy_by_channel(remaining if problem.refits else problem.residual, remaining)
+    count = problem.count_by_channel
+    by_channel = {channel: each / max(count[channel], 1) - 1.0 for channel, each in energy.items()}
+    return by_channel, chi_square / max(problem.count, 1) - 1.0

@@ -121,6 +121,13 @@ class LinearisedProblem:
             found[row.channel] = found.get(row.channel, 0) + int(np.count_nonzero(self.weight[row.where]))
         return found
 
+    def energy_by_channel(self, vector: Floats, left: Floats) -> dict[str, float]:
+        """Each channel's part of a whitened vector's (N,) chi-square; `left` (N,) is what the nuisance model leaves of it."""
+        found: dict[str, float] = {}
+        for row in self.rows:
+            found[row.channel] = found.get(row.channel, 0.0) + float(vector[row.where] @ left[row.where])
+        return found
+
     def responses(
         self, effects: Effects, shift: Floats | None = None, *, fine: bool = True
     ) -> list[Response]:
