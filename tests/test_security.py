@@ -37,6 +37,11 @@ KINDS = {
     ("services", "reply"): "get_service_names_and_types_by_node",
     ("services", "request"): "get_client_names_and_types_by_node",
 }
+ACTION = {
+    ("topics", "publish"): ("feedback", "status"),
+    ("services", "reply"): ("send_goal", "get_result", "cancel_goal"),
+}
+"""What a node that executes an action publishes and replies to."""
 HEAR_S = 15.0
 COMMAND = """
 import rclpy, sys, time
@@ -85,7 +90,12 @@ def allowed():
             (way,) = part.attrib
             for name in part:
                 text = str(name.text).replace("~", node)
-                rules[part.tag, way].add(text if text.startswith("/") else f"{space}/{text}")
+                full = text if text.startswith("/") else f"{space}/{text}"
+                if part.tag == "actions":
+                    for kind, ends in ACTION.items() if way == "execute" else ():
+                        rules[kind] |= {f"{full}/_action/{end}" for end in ends}
+                else:
+                    rules[part.tag, way].add(full)
     return found
 
 

@@ -1,8 +1,8 @@
 """`identifier`: excites the device through the running graph, records, fits, and hands the model on.
 
-Started and cancelled by service; progress goes to `/diagnostics`. The fitted model becomes the node's own
-`model.*` parameters, is set on the nodes named in `targets`, and is saved as a parameter file. `~/diagnose`
-compares the last recording with the present model and tells on `/diagnostics` what the model leaves out.
+Started and cancelled by service or by action; progress goes to `/diagnostics` and to the action's client. The fitted
+model becomes the node's own `model.*` parameters, is set on the nodes named in `targets`, and is saved as a parameter
+file. `~/diagnose` compares the last recording with the present model and tells what the model leaves out.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, 
 from vo2_identification.diagnosis_job import DiagnosisJob, summary_values
 from vo2_identification.excitation_plan import EXCITATION_PARAMETERS, excitation_currents
 from vo2_identification.sample_log import SampleLog
+from vo2_identification.work_action import WorkAction
 
 __all__ = ["IDENTIFIER_PARAMETERS", "IdentifierNode", "main"]
 
@@ -73,6 +74,7 @@ IDENTIFIER_PARAMETERS = (
     Parameter("quiet_s", 2.0, "s", "Listening ends after this much wall time without a sample.", 0.1, 1e4),
 )
 _CHANNELS = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE, "heater_voltage")
+_AT_REST = ("idle", "done", "failed", "cancelled")
 _POLL_S = 0.05
 _SERVICE_TIMEOUT_S = 15.0
 _ASK_AGAIN_S = 3.0
@@ -137,6 +139,12 @@ class IdentifierNode(ManagedNode):
         self.create_service(Trigger, "~/start", self._on_start)
         self.create_service(Trigger, "~/cancel", self._on_cancel)
         self.create_service(Trigger, "~/diagnose", self._on_diagnose)
+        self._identify_action = WorkAction(
+            self, "Identify", "identify", start=self._begin, cancel=self._cancel_work
+        )
+        self._diagnose_action = WorkAction(
+            self, "Diagnose", "diagnose", start=self._begin_diagnosis, cancel=self._cancel_diagnosis
+        )
         self._manage(self._diagnostics, autostart=self._table.flag("autostart"))
         SampleInput(self, MEASUREMENT, self._guarded(self._on_measurement), self._diagnostics)
         create_steady_timer(self, _POLL_S, self._guarded(self._on_poll))
@@ -154,6 +162,12 @@ class IdentifierNode(ManagedNode):
         if self._state == "exciting":
             self.rest()
         self._give_up()
+
+    def destroy_node(self) -> None:
+        """Leave the graph, actions first."""
+        for action in (self._identify_action, self._diagnose_action):
+            action.destroy()
+        super().destroy_node()
 
     # --- for whoever composes this node into a process of its own -----------------------------------
 
@@ -185,20 +199,21 @@ class IdentifierNode(ManagedNode):
     # --- services ---------------------------------------------------------------------------------
 
     def _on_start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = self._begin()
+        return response
+
+    def _begin(self) -> tuple[bool, str]:
+        """Begin to excite or to listen; return whether that began, and what begins or why not."""
         if not self.active:
-            response.message = f"{self.lifecycle_state}: activate the node first"
-            return response
-        if self._state not in ("idle", "done", "failed", "cancelled"):
-            response.message = f"busy ({self._state}); call ~/cancel first"
-            return response
+            return False, f"{self.lifecycle_state}: activate the node first"
+        if self._state not in _AT_REST:
+            return False, f"busy ({self._state}); call ~/cancel first"
         if self._stop.active:
-            response.message = "emergency stop is active; release it first"
-            return response
+            return False, "emergency stop is active; release it first"
         try:
             self._currents = excitation_currents(self._preset, self._period_s, self._table)
         except ValueError as error:
-            response.message = str(error)
-            return response
+            return False, str(error)
         self._log = SampleLog(_CHANNELS)
         self._order = StampOrder()
         self._heard_s = math.inf
@@ -207,11 +222,7 @@ class IdentifierNode(ManagedNode):
         self._tell(
             "listening" if kind == "listen" else "exciting", f"{kind} of {self._currents.size} samples"
         )
-        response.success = True
-        response.message = (
-            f"{kind}: {self._currents.size} samples, {self._currents.size * self._period_s:g} s"
-        )
-        return response
+        return True, f"{kind}: {self._currents.size} samples, {self._currents.size * self._period_s:g} s"
 
     def _on_cancel(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         ended = self._give_up()
@@ -221,42 +232,49 @@ class IdentifierNode(ManagedNode):
 
     def _give_up(self) -> str:
         """Cancel what is at work; return what that was in words, empty for nothing."""
-        working = self._state in ("exciting", "listening", "fitting", "publishing")
-        ended = [self._state] if working else []
-        if self._diagnosis is not None:
-            ended.append("diagnosing")
-            self._diagnosis.cancel()
-            self._diagnosis = None
-            self._tell_diagnosis("cancelled", "cancelled")
-        words = f"cancelled while {' and '.join(ended)}" if ended else ""
-        if working:
-            self._fit = None
-            self._pending.clear()
-            self._tell("cancelled", words)
-        return words
+        ended = [each for each in (self._cancel_work(), self._cancel_diagnosis()) if each]
+        return f"cancelled while {' and '.join(ended)}" if ended else ""
+
+    def _cancel_work(self) -> str:
+        """Give up excitation, fit and what follows; return the state that was left, empty for none."""
+        state = self._state
+        if state not in ("exciting", "listening", "fitting", "publishing"):
+            return ""
+        self._fit = None
+        self._pending.clear()
+        self._tell("cancelled", f"cancelled while {state}")
+        return state
+
+    def _cancel_diagnosis(self) -> str:
+        """Give up a diagnosis; return what was left, empty for none."""
+        if self._diagnosis is None:
+            return ""
+        self._diagnosis.cancel()
+        self._diagnosis = None
+        self._tell_diagnosis("cancelled", "cancelled")
+        return "diagnosing"
 
     def _on_diagnose(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        model = self._table.given("model.")
-        if not self.active:
-            response.message = f"{self.lifecycle_state}: activate the node first"
-        elif self._diagnosis is not None:
-            response.message = f"busy: {self._diagnosis.text}; its answer comes on /diagnostics"
-        elif self._state not in ("idle", "done", "failed", "cancelled"):
-            response.message = f"busy ({self._state}); wait for its end or call ~/cancel first"
-        elif self._last_recording is None:
-            response.message = (
-                "found no recording, need one: call ~/start (excitation.kind informative, fit off)"
-            )
-        elif not model:
-            response.message = "found no model, need one: identify with fit on, or load a file that fit wrote"
-        else:
-            self._diagnosis = DiagnosisJob(self._last_recording, model)
-            response.success = True
-            response.message = (
-                f"diagnosing {len(self._last_recording)} samples; the answer comes on /diagnostics"
-            )
-            self._tell_diagnosis("running", response.message)
+        response.success, response.message = self._begin_diagnosis()
         return response
+
+    def _begin_diagnosis(self) -> tuple[bool, str]:
+        """Begin to diagnose the last recording; return whether that began, and what begins or why not."""
+        if not self.active:
+            return False, f"{self.lifecycle_state}: activate the node first"
+        if self._diagnosis is not None:
+            return False, f"busy: {self._diagnosis.text}; its answer comes on /diagnostics"
+        if self._state not in _AT_REST:
+            return False, f"busy ({self._state}); wait for its end or call ~/cancel first"
+        if self._last_recording is None:
+            return False, "found no recording, need one: call ~/start (excitation.kind informative, fit off)"
+        model = self._table.given("model.")
+        if not model:
+            return False, "found no model, need one: identify with fit on, or load a file that fit wrote"
+        self._diagnosis = DiagnosisJob(self._last_recording, model)
+        words = f"diagnosing {len(self._last_recording)} samples; the answer comes on /diagnostics"
+        self._tell_diagnosis("running", words)
+        return True, words
 
     # --- samples ----------------------------------------------------------------------------------
 
@@ -409,12 +427,25 @@ class IdentifierNode(ManagedNode):
         self._diagnosis = None
         if job.answer is None:
             self._tell_diagnosis("failed", job.error)
-        else:
-            self._tell_diagnosis("done", job.answer.summary, summary_values(job.answer))
+            return
+        answer = job.answer
+        self._tell_diagnosis("done", answer.summary, summary_values(answer))
+        self._diagnose_action.end(
+            True,
+            message=answer.summary,
+            verdict=answer.verdict,
+            effects=[each.id for each in answer.effects],
+            probabilities=[each.probability for each in answer.effects],
+        )
 
     def _tell_diagnosis(self, state: str, text: str, values: Mapping[str, object] | None = None) -> None:
         level = "error" if state == "failed" else "ok"
-        self._diagnostics.report("diagnosis", level, text, {"state": state, **(values or {})})
+        told = {"state": state, **(values or {})}
+        self._diagnostics.report("diagnosis", level, text, told)
+        if state == "running":
+            self._diagnose_action.tell(text=text, percent=told.get("percent", 0))
+        elif state != "done":
+            self._diagnose_action.end(False, message=text)
 
     def _tell(self, state: str, text: str, *, percent: int = 0, stamp_ns: int | None = None) -> None:
         self._state, self._said = state, text
@@ -424,6 +455,11 @@ class IdentifierNode(ManagedNode):
             time_s = self._last_recording.time_s
             values |= {"first_stamp_s": f"{time_s[0]:.9f}", "last_stamp_s": f"{time_s[-1]:.9f}"}
         self._diagnostics.report("progress", level, text, values, stamp_ns=stamp_ns)
+        if state in _AT_REST:
+            kept = self._table.text("model_file") if state == "done" and self._table.flag("fit") else ""
+            self._identify_action.end(state == "done", message=text, model_file=kept)
+        else:
+            self._identify_action.tell(state=state, text=text, percent=percent)
 
 
 def _is_empty(value: Value) -> bool:
