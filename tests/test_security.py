@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -112,8 +113,12 @@ def test_the_shipped_policy_allows_each_node_what_it_does_and_no_other_node_to_c
     }
     looked_at = set()
     for make, parameters in makers.items():
-        with bench(["--ros-args", *parameters] if parameters else []) as rig:
+        with bench(["--ros-args", *parameters] if parameters else []) as rig, ExitStack() as ends:
             node = rig.add(make)
+            if isinstance(node, SuperviseNode):
+                ends.callback(
+                    node.close
+                )  # what it has started would live on, and speak in the domain of a later test
             name, space = node.get_name(), node.get_namespace()
             rig.until(lambda: (name, space) in rig.node.get_node_names_and_namespaces())  # noqa: B023
             rig.spin(0.3)
