@@ -308,16 +308,23 @@ def _stands_for_constants(option: Option, singles: Sequence[Explanation], limits
 
     On held-out blocks such an effect gains nothing, as the constants are moved there too. What tells is how far they
     would have to move from the calibration: a dead time that has doubled is named, a gain that many effects mimic is not.
-    Those that act on the same sensor count as one here: which of them it is, their probabilities tell.
+    Those that act on the same sensor count as one here, on a device with a body all that reach the same channel alone: which of
+    them it is, their probabilities tell.
     """
     chosen = option.chosen
     own = chosen.hypotheses[0]
-    others = [
-        e.gain
-        for e in singles
-        if e.hypotheses[0].record.id != own.record.id
-        and not (own.signal and e.hypotheses[0].signal == own.signal)
-    ]
+    nominal = option.final.nominal
+
+    def one_with_it(other: Hypothesis) -> bool:
+        ours, theirs = (each.record.reaches(nominal.device, each.signal) for each in (own, other))
+        same_sensor = bool(own.signal) and other.signal == own.signal
+        return (
+            own.record.id == other.record.id
+            or same_sensor
+            or (nominal.model.description.has_body and len(ours) == 1 and theirs == ours)
+        )
+
+    others = [e.gain for e in singles if not one_with_it(e.hypotheses[0])]
     return len(chosen.keys) == 1 and chosen.gain - max(others, default=0.0) > limits.apart
 
 

@@ -244,8 +244,8 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
 def equally_likely(study: Study) -> tuple[str, ...]:
     """Return the keys of the effects of which the answer is one, likeliest first; none where one of them can be named.
 
-    A single name must be more likely than everything else together. Where it is not, but more likely than something that is in
-    no catalogue, the fewest effects that hold most of the probability are told in its place.
+    A single name must be more likely than everything else together. Where none is, but an effect of the catalogue is likelier
+    than something that is in none, the fewest effects that hold most of the probability are told in its place.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ def equally_likely(study: Study) -> tuple[str, ...]:
     if chosen is None or len(chosen.keys) > 1 or not study.located.problem.nominal.model.description.has_body:
         return study.decision.equivalent
     probability = _candidates(study)[1]
-    if not _something_else(study) < probability[chosen.keys[0]] <= 0.5:
+    if probability[chosen.keys[0]] > 0.5 or _something_else(study) >= 0.5:
         return ()
     order = sorted(probability, key=lambda key: (-probability[key], key != chosen.keys[0]))
     held = np.cumsum([probability[key] for key in order])
