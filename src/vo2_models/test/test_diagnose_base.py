@@ -386,8 +386,9 @@ def test_an_effect_is_as_sure_as_the_stretches_of_the_recording_agree() -> None:
     assert sureness(torn) < 0.2 * sureness(plain)
 
 
+@pytest.mark.parametrize("phase", [1.0, 2.5, 4.0, 5.5])
 @pytest.mark.parametrize("pitch", [4.1e-6, 8.3e-6])
-def test_a_ripple_begins_with_the_pitch_of_the_residual(pitch) -> None:
+def test_a_ripple_begins_with_the_pitch_of_the_residual_and_any_phase(pitch, phase) -> None:
     bank = PlayBank([0.5], [0.0], [0.2], [-12.4], [0.2], [-11.0], [-4.7, 0.001])
     lever = PlayBank([20e-6], [0.0], [0.2], [-12.4], [0.2], [-11.0], [30e-6, 1e-7])
     model = DeviceModel("integrated", resistance=bank, deflection=lever)
@@ -395,7 +396,7 @@ def test_a_ripple_begins_with_the_pitch_of_the_residual(pitch) -> None:
         Nominal.from_parameters(model.to_parameters()), noise={TIP_DEFLECTION: NoiseModel(5e-8)}
     )
     current, dt, key = _drive(3000), 1e-3, f"sensor_ripple:{TIP_DEFLECTION}"
-    ripple = {key: {"amplitude": 4e-7, "pitch": pitch, "phase_angle": 1.0, "signal": TIP_DEFLECTION}}
+    ripple = {key: {"amplitude": 4e-7, "pitch": pitch, "phase_angle": phase, "signal": TIP_DEFLECTION}}
     shown = nominal.respond(current, dt, effects=ripple).channels[TIP_DEFLECTION]
     channels = {HEATER_CURRENT: current, TIP_DEFLECTION: shown}
     recording = Recording(dt * np.arange(current.size), channels, "integrated")
@@ -403,7 +404,9 @@ def test_a_ripple_begins_with_the_pitch_of_the_residual(pitch) -> None:
     left = problem.apply_inverse_covariance(problem.residual)
     found = next(h for h in hypotheses(problem, "integrated", left) if h.key == key)
     assert found.magnitudes == ("amplitude",)
-    assert any(start["pitch"] == pytest.approx(pitch, rel=0.1) for start in found.starts)
+    best = score(problem, [found], problem.residual)[0]
+    assert best.start["pitch"] == pytest.approx(pitch, rel=0.1)
+    assert best.gain > 0.4 * problem.chi_square(problem.residual)
     assert all(found.bounds("pitch")[0] < s["pitch"] < found.bounds("pitch")[1] for s in found.starts)
 
 

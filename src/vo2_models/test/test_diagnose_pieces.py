@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from vo2_models.device import DeviceModel, preset
+from vo2_models.diagnosis import study
 from vo2_models.diagnosis.breakdown import one_loop, turning_points
 from vo2_models.diagnosis.check import Unusable, check_recording
 from vo2_models.diagnosis.limits import Limits
@@ -170,6 +171,20 @@ def test_what_is_unusable_is_refused_with_the_reason() -> None:
     for words, bad in cases.items():
         with pytest.raises(Unusable, match=words):
             check_recording(bad, model())
+
+
+@pytest.mark.parametrize("noise", [0.0, 3e-8])
+def test_a_channel_that_stands_still_is_not_compared(noise) -> None:
+    still = 1e-5 + noise * np.random.default_rng(0).standard_normal(2000)
+    (found,) = check_recording(recording(tip_deflection=still), model())
+    assert found.leaves_out == "tip_deflection" and "not compared" in found.text
+    both = study([recording(tip_deflection=still)], model().model.to_parameters()).reading.parts
+    assert both[0].channels == ("film_resistance",)
+
+
+def test_a_deflection_in_a_smaller_unit_does_not_stand_still() -> None:
+    with pytest.raises(Unusable, match="check the unit"):
+        check_recording(recording(tip_deflection=1e-6 * recording()["tip_deflection"]), model())
 
 
 def test_the_steps_of_a_coarse_converter_are_no_noise() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -35,6 +35,10 @@ SHORTEST, FEW = 50, 500
 """Fewest samples of a recording that can be judged, and those below which it is said what so few cannot tell."""
 UNSTEADY = 0.5
 """The same, from which stamps are no clock: half of them are that far from any period."""
+STILL = 0.9
+"""Noise from differences, as a share of the spread, from which there is nothing else: of white noise it is 1."""
+SMALL_PART = 0.1
+"""Share of a channel's range below which that is so; a drive that jumps at every sample makes more of it look white."""
 
 
 class Unusable(ValueError):
@@ -43,10 +47,18 @@ class Unusable(ValueError):
 
 @dataclass(frozen=True)
 class Finding:
-    """Something about the data that limits the answer."""
+    """Something about the data that limits the answer.
+
+    Attributes
+    ----------
+    kind : what it is
+    text : one sentence
+    leaves_out : channel that is not compared for it, empty for none
+    """
 
     kind: str
     text: str
+    leaves_out: str = ""
 
 
 def check_recording(recording: Recording, nominal: Nominal, *, name: str = "recording") -> list[Finding]:
@@ -78,7 +90,11 @@ def check_recording(recording: Recording, nominal: Nominal, *, name: str = "reco
         raise Unusable(f"{name}: {told}")
     if wrong := impossible(recording, nominal.device):
         raise Unusable(f"{name}: {'; '.join(wrong)}")
-    odd = unusual(recording, nominal.device)
+    dead = [
+        c for c in (RESISTANCE, TIP_DEFLECTION) if c in recording and _stands_still(recording[c], c, nominal)
+    ]
+    moving = {c: values for c, values in recording.channels.items() if c not in dead}
+    odd = unusual(replace(recording, channels=moving), nominal.device)
     if units := [text for text in odd if "check the unit" in text]:
         raise Unusable(f"{name}: {'; '.join(units)}")
     findings = [Finding("odd", text) for text in odd]
@@ -206,7 +222,7 @@ def _channel(recording: Recording, channel: str, nominal: Nominal) -> tuple[list
     share = float(np.mean(good))
     if share < 0.5:
         return [
-            Finding("missing", f"{channel} is missing from {100 * (1 - share):.0f} % of the samples")
+            Finding("missing", f"{channel} is missing from {100 * (1 - share):.0f} % of the samples", channel)
         ], False
     x = values[good]
     found = []
@@ -218,11 +234,18 @@ def _channel(recording: Recording, channel: str, nominal: Nominal) -> tuple[list
     if span == 0.0 or span < 1e-4 * nominal.span[channel]:
         return [
             *found,
-            Finding("constant", f"{channel} is constant: a broken lead or a stuck converter"),
+            Finding(
+                "constant",
+                f"{channel} is constant: a broken lead or a stuck converter, which is not compared",
+                channel,
+            ),
         ], False
     noise = level_from_differences(x)
     # of few samples the differences are the signal's own, and of a coarse converter's values they are its steps
     if x.size >= FEW and noise > 0.25 * float(np.std(x)) and not _of_steps(recording[channel][good]):
+        if _stands_still(recording[channel], channel, nominal):
+            text = f"{channel} is nothing but noise about one value: a broken lead, which is not compared"
+            return [*found, Finding("noise", text, channel)], False
         return [
             *found,
             Finding("noise", f"{channel} is mostly noise (level {noise / np.std(x):.0%} of its spread)"),
@@ -231,13 +254,27 @@ def _channel(recording: Recording, channel: str, nominal: Nominal) -> tuple[list
     if (1.0 - ends) * x.size < SHORTEST:
         return [
             *found,
-            Finding("clipped", f"{channel} sits at its end value in {100 * ends:.0f} % of the samples"),
+            Finding(
+                "clipped",
+                f"{channel} sits at its end value in {100 * ends:.0f} % of the samples, too many to compare it",
+                channel,
+            ),
         ], False
     if ends > 0.02:
         found.append(
             Finding("clipped", f"{channel} sits at its end value in {100 * ends:.1f} % of the samples")
         )
     return found, True
+
+
+def _stands_still(values: Floats, channel: str, nominal: Nominal) -> bool:
+    """Whether values (n,) stay at one, noise apart: a small part of the range, with differences as large as white noise has."""
+    x = values[np.isfinite(values)]
+    if x.size < FEW or np.ptp(x) == 0.0:
+        return x.size > 0 and bool(np.ptp(x) == 0.0)
+    y = judged(channel, x)
+    small = float(np.ptp(y)) < SMALL_PART * nominal.span[channel]
+    return small and level_from_differences(y) > STILL * float(np.std(y)) and not _of_steps(x)
 
 
 def _of_steps(values: Floats) -> bool:

@@ -252,7 +252,7 @@ def _starts(
             grids[p.name] = _frequencies(problem, record, signal, device, residual)
             scales[p.name] = 0.02
         elif p.unit == ANGLE:
-            grids[p.name] = [0.0, 0.5 * np.pi]  # the magnitude's sign tells the other half
+            grids[p.name] = [0.0, 0.5 * np.pi, np.pi, 1.5 * np.pi]  # an amplitude is not negative
             scales[p.name] = 0.05
         elif middle and signal and _is_pitch(p, record):
             grids[p.name] = _pitches(problem, signal, residual, low / 3)
@@ -447,11 +447,17 @@ def _pitches(problem: LinearisedProblem, signal: str, residual: Floats, finest: 
     step = max(part.comb.get(signal, 0.0) for part in problem.parts)
     finest = max(finest, span / MOST_CRESTS, COARSE * step)  # a converter's steps are no crests
     per_unit = np.arange(CRESTS / span, 1.0 / finest + 0.25 / span, 0.25 / span)
-    power = np.max([[np.abs(r @ np.exp(-2j * np.pi * f * y)) for f in per_unit] for y in values], axis=0)
+
+    def power(frequencies: Floats) -> Floats:
+        return np.max(
+            [[np.abs(r @ np.exp(-2j * np.pi * f * y)) for f in frequencies] for y in values], axis=0
+        )
+
     found: list[float] = []
-    for k in np.argsort(-power):
-        if all(abs(per_unit[k] - 1.0 / pitch) > 0.5 / span for pitch in found):
-            found.append(1.0 / float(per_unit[k]))
+    for f in per_unit[np.argsort(-power(per_unit))]:
+        if all(abs(f - 1.0 / pitch) > 0.5 / span for pitch in found):
+            near = f + np.linspace(-0.25, 0.25, 11) / span
+            found.append(1.0 / float(near[np.argmax(power(near))]))
         if len(found) == PITCHES:
             break
     # a gain that has moved acts behind the ripple

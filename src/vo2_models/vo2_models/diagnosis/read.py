@@ -112,8 +112,11 @@ def read(
     for number, raw in enumerate(recordings, 1):
         recording = aligned(raw, nominal.model.command_delay)
         name = names[number - 1] if names else f"recording {number}"
-        findings += check_recording(recording, nominal, name=name)
-        parts.append(prepare(recording, nominal, name=name))
+        found = check_recording(recording, nominal, name=name)
+        findings += found
+        dead = {finding.leaves_out for finding in found}
+        left = {c: values for c, values in recording.channels.items() if c not in dead}
+        parts.append(prepare(replace(recording, channels=left), nominal, name=name))
     clock.say("simulating the recordings")
     shapes = open_shapes(nominal) if calibrations else loop_shapes(nominal)
     corrected = replace(nominal, corrections={c: s.fold() for c, s in shapes.items()})
