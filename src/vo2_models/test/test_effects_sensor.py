@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, lsim
 from vo2_models.device import truth
-from vo2_models.device.coefficients import Coefficient
-from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
+from vo2_models.device.coefficients import CHANNELS, Coefficient
+from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
 
 CURRENT = np.repeat(np.random.default_rng(1).uniform(4e-3, 8.4e-3, 40), 15)
 DT = 1e-3
@@ -18,6 +18,12 @@ def clean():
 
 def _with(name: str, **values) -> np.ndarray:
     return truth("integrated", seed=4, effects={name: values}).simulate(CURRENT, noise=False)
+
+
+def _stepped(name: str, **values) -> Recording:
+    """The same in one step a sample: what a hook makes of a response that goes the way of the heat from sample to sample."""
+    out = truth("integrated", seed=4, effects={name: values}).run(CURRENT, dt=DT)
+    return Recording(DT * np.arange(CURRENT.size), {c: out[:, k] for k, c in enumerate(CHANNELS)})
 
 
 def _between(values: np.ndarray, parts: int) -> np.ndarray:
@@ -35,7 +41,7 @@ def test_lag(clean, channel):
     # from rest one sample before the first
     way = _between(np.concatenate([[0.0], clean[channel] - rest]), 100)
     _, expected, _ = lsim(([1.0], [3e-3, 1.0]), way, DT / 100 * np.arange(way.size))
-    found = _with("sensor_lag", signal=channel, time_constant=3e-3)[channel]
+    found = _stepped("sensor_lag", signal=channel, time_constant=3e-3)[channel]
     assert np.abs(found - rest - expected[100::100]).max() < 1e-5 * np.ptp(clean[channel])
 
 
@@ -44,9 +50,43 @@ def test_clock(clean, delay):
     time = clean.time_s
     way = _between(clean[RESISTANCE], 100)
     expected = np.interp(time - delay, DT / 100 * np.arange(way.size), way)
-    found = _with("clock_offset", signal=RESISTANCE, delay=delay)[RESISTANCE]
+    found = _stepped("clock_offset", signal=RESISTANCE, delay=delay)[RESISTANCE]
     late = time >= delay
     assert np.allclose(found[late], expected[late], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("averaging", {"window": 2.03e-3}),
+        ("averaging", {"window": 5e-3}),
+        ("sensor_lag", {"time_constant": 1e-3}),
+        ("clock_offset", {"delay": 0.5e-3}),
+        ("cantilever_resonance", {"share": 1.0, "frequency": 200.0, "damping": 0.02}),
+    ],
+)
+def test_a_recording_holds_what_happens_between_its_samples(clean, name, values):
+    """The film crosses its transition within a sample or two: of 64 steps a sample, next to nothing is different."""
+    given = values if name == "cantilever_resonance" else {**values, "signal": TIP_DEFLECTION}
+    device, parts = truth("integrated", seed=4, effects={name: given}), 64
+    fine = device.run(np.repeat(CURRENT, parts), dt=DT / parts)[
+        parts - 1 :: parts, CHANNELS.index(TIP_DEFLECTION)
+    ]
+    found = device.simulate(CURRENT, noise=False)[TIP_DEFLECTION]
+    effect = np.std(fine - clean[TIP_DEFLECTION])
+    assert np.std(found - fine) < 0.02 * effect
+    assert np.std(_stepped(name, **given)[TIP_DEFLECTION] - fine) > 0.03 * effect
+
+
+def test_the_noise_is_that_of_the_samples_alone():
+    lagged = {"sensor_lag": {"signal": TIP_DEFLECTION, "time_constant": 1e-3}}
+    noise = []
+    for effects in ({}, lagged):
+        device = truth("integrated", seed=4, colour=0.7, effects=effects)
+        loud, quiet = device.simulate(CURRENT, seed=3), device.simulate(CURRENT, noise=False)
+        noise.append(loud[TIP_DEFLECTION] - quiet[TIP_DEFLECTION])
+    assert np.std(noise[0]) > 0
+    assert np.allclose(noise[0], noise[1], rtol=0, atol=1e-9 * np.std(noise[0]))
 
 
 @pytest.mark.parametrize("channel", [RESISTANCE, TIP_DEFLECTION])
@@ -132,7 +172,7 @@ def test_resonance_solves_the_oscillator(clean):
         rate += h * (w * w * (force - zm) - 2 * damping * w * rm)
         if (k + 1) % parts == 0:
             expected.append(z)
-    found = _with("cantilever_resonance", share=1.0, frequency=frequency, damping=damping)[TIP_DEFLECTION]
+    found = _stepped("cantilever_resonance", share=1.0, frequency=frequency, damping=damping)[TIP_DEFLECTION]
     assert np.abs(found - expected).max() < 2e-3 * np.ptp(d)
-    half = _with("cantilever_resonance", share=0.5, frequency=frequency, damping=damping)[TIP_DEFLECTION]
+    half = _stepped("cantilever_resonance", share=0.5, frequency=frequency, damping=damping)[TIP_DEFLECTION]
     assert np.allclose(half, 0.5 * d + 0.5 * found, rtol=0, atol=1e-12)

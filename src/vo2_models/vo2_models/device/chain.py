@@ -80,10 +80,10 @@ def _film_deflection(kind, c, x, poly_d):
 
 @inner
 def _sense(c, x, channel, value, normal, time, period, sample, current):
-    """One sensor: what effects do before the noise, noise, what its converter does."""
+    """One sensor: what effects do before the noise, noise, what its converter does; a normal number that is NaN is no reading."""
     at = _SENSORS + channel * _PER_CHANNEL
     out = generated.sensor(c, x, channel, value, time, period, sample, current)
-    if c[at + N.NOISE] != 0.0 or c[at + N.NOISE_RELATIVE] != 0.0:
+    if normal == normal and (c[at + N.NOISE] != 0.0 or c[at + N.NOISE_RELATIVE] != 0.0):
         colour = c[at + N.COLOUR]
         x[_NOISE + channel] = colour * x[_NOISE + channel] + math.sqrt(1.0 - colour * colour) * normal
         out += x[_NOISE + channel] * (c[at + N.NOISE] + c[at + N.NOISE_RELATIVE] * abs(out))

@@ -30,11 +30,13 @@ from vo2_models.device.description import DeviceDescription, preset
 from vo2_models.device.law_step import first_memory, has_law
 from vo2_models.device.state import CURRENT_LINE, ChainState, Slot
 from vo2_models.effects import effects
+from vo2_models.effects.record import SAMPLED
 from vo2_models.recording import COMMANDED_CURRENT, Recording
 from vo2_models.validation import finite_array, positive_number
 
 __all__ = [
     "FILM_TEMPERATURE",
+    "FINE",
     "TRUE_DEFLECTION",
     "TRUE_RESISTANCE",
     "Simulation",
@@ -56,6 +58,13 @@ _NO_PLAYS = np.zeros(7)
 _NO_POLYNOMIAL = np.zeros(1)
 RESTED = 15.0
 """Time constants of the slowest process after which a device is at rest."""
+
+FINE = 4
+"""Steps of a sample where it counts what happens in between."""
+RINGING = 0.05
+"""Cycles per sample from which a mode follows what happens between samples."""
+HELD_IN_RINGS = 200
+"""Longest delay, lag or window, in sample periods, that is followed in finer steps: the rings of effects hold no more of them."""
 
 Floats = NDArray[np.float64]
 
@@ -171,8 +180,7 @@ class Simulation:
         c[first_flag() : first_flag() + of.flags.shape[0]] = of.flags @ on
         for name, raised in (("resistance", own_heat), ("any:heat", own_heat or slow), ("any:film", slow)):
             c[first_flag() + FLAGS.index(name)] += float(raised)
-        heated = preset(self.device).has_body or c[Coefficient.SQUARE_GAIN] != 0.0 or own_heat
-        between = c[Coefficient.BETWEEN] = c[Coefficient.TIME_CONSTANT] if heated else HUGE
+        between = c[Coefficient.BETWEEN] = c[Coefficient.TIME_CONSTANT] if self.heated else HUGE
         sensed = set()
         for k in np.flatnonzero(on):
             block = blocks()[of.keys[k]]
@@ -195,6 +203,34 @@ class Simulation:
             noisy = any(c[sensor_index(channel, kind)] for kind in (Sensor.NOISE, Sensor.NOISE_RELATIVE))
             c[sensor_index(channel, Sensor.IDEAL)] = float(not noisy and channel not in sensed)
         return c
+
+    @property
+    def heated(self) -> bool:
+        """Whether the drive, which is held over a sample, heats a body."""
+        gains = self.coefficients[[Coefficient.SQUARE_GAIN, Coefficient.POWER_GAIN]]
+        return preset(self.device).has_body or bool(np.any(gains))
+
+    def steps_per_sample(self, dt: float) -> int:
+        """Return the steps that a sample takes: `FINE` where it counts what happens between samples, else 1.
+
+        A late or slow sensor and a fast mode feel it, a slow driver makes it; what works on the samples itself does not. On a
+        device that no held drive heats, a response goes straight from sample to sample.
+
+        Parameters
+        ----------
+        dt : sample period [s]
+        """
+        for key in self.active() if self.heated else ():
+            block = blocks()[key]
+            record = effects()[block.effect]
+            if SAMPLED.name in block.places and self.coefficients[block.places[SAMPLED.name]] > 0.5:
+                continue
+            values = [(p.unit, self.coefficients[block.places[p.name]]) for p in record.parameters]
+            lasts = max((value / dt for unit, value in values if unit == "s"), default=0.0)
+            tone = max((value * dt for unit, value in values if unit == "Hz"), default=0.0)
+            if (record.between_samples and lasts <= HELD_IN_RINGS) or tone > RINGING:
+                return FINE
+        return 1
 
     def initial_state(self) -> ChainState:
         """Return the memory of a device that has rested without current, insulating, for long."""
@@ -258,7 +294,10 @@ class Simulation:
         normals: Floats | None = None,
         state: ChainState | None = None,
     ) -> Floats:
-        """Run on `current` (n,) [A]; return (n, 9) as `chain.COLUMNS` describes. `state` is updated in place."""
+        """Run on `current` (n,) [A], a step each; return (n, 9) as `chain.COLUMNS` describes. `state` is updated in place.
+
+        `normals` (n, 4) are standard normal numbers for the noise, NaN where no sensor is read.
+        """
         c = self.prepared(dt)
         memory = self.initial_state() if state is None else state
         noise = normals
@@ -302,9 +341,14 @@ class Simulation:
         nominal = preset(self.device)
         command = finite_array(current, "current")
         period = nominal.sample_period if dt is None else positive_number(dt, "dt")
-        normals = white_noise(seed, command.size) if noise else None
-        state = self.settled_state(command[0], period) if settled and command.size else None
-        out = self.run(command, dt=period, normals=normals, state=state)
+        steps = self.steps_per_sample(period)
+        normals = None
+        if noise:
+            normals = np.full((command.size * steps, len(CHANNELS)), np.nan)
+            normals[steps - 1 :: steps] = white_noise(seed, command.size)
+        state = self.settled_state(command[0], period / steps) if settled and command.size else None
+        fine = self.run(np.repeat(command, steps), dt=period / steps, normals=normals, state=state)
+        out = fine[steps - 1 :: steps]
         channels = {COMMANDED_CURRENT: command}
         channels |= {name: out[:, k] for k, name in enumerate(CHANNELS) if name in nominal.channels}
         inner = {TRUE_DEFLECTION: out[:, 4], FILM_TEMPERATURE: out[:, 5], TRUE_RESISTANCE: out[:, 6]}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vo2_models.device import DeviceModel, preset
 from vo2_models.device.coefficients import CHANNELS, Coefficient, Sensor, blocks, sensor_index
-from vo2_models.device.simulation import Simulation, longest_lag
+from vo2_models.device.simulation import FINE, Simulation, longest_lag
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.propagate_correction import (
     BEHIND_FILM,
@@ -22,7 +22,6 @@ from vo2_models.diagnosis.propagate_correction import (
     propagate_correction,
 )
 from vo2_models.effects import effects
-from vo2_models.effects.record import SAMPLED
 from vo2_models.identification.digest import CalibrationDigest
 from vo2_models.identification.enrichment import Correction, EnrichmentBasis
 from vo2_models.identification.grid import held
@@ -51,14 +50,10 @@ __all__ = [
 Floats = NDArray[np.float64]
 JUDGED_UNIT = {HEATER_CURRENT: "A", RESISTANCE: "log10 ohm", TIP_DEFLECTION: "m", STAGE_TEMPERATURE: "degC"}
 """Unit in which a channel is compared: resistance in decades, the others as they are."""
-RINGING = 0.05
-"""Cycles per sample from which a mode follows what happens between samples."""
 TONES = 40
 """Tones of a staircase that are kept."""
 FILMS = 8
 """Simulations of the film that are kept: hypotheses about what is behind it ask for the same ones again."""
-FINE = 4
-"""Steps of a sample where it counts what happens in between."""
 FAR = 1e15
 """Value at which a simulation that runs away is held: beyond those of any instrument, also in pascals or counts."""
 THERMAL = {
@@ -263,7 +258,7 @@ class Nominal:
                     current.size,
                 )
             current = np.concatenate([np.full(lead, current[0]), current])
-        steps = FINE if fine and _between_samples(chain, dt, held=self.model.heats) else 1
+        steps = _steps_between(chain, dt) if fine else 1
         if steps > 1:
             current, dt = self._finer(current, steps), dt / steps
         # a candidate may drive the simulation out of anything physical: it must only look very wrong
@@ -341,28 +336,20 @@ def _without_rounding(chain: Simulation) -> tuple[Simulation, dict[str, float]]:
     return replace(chain, coefficients=c), grids
 
 
-def _between_samples(chain: Simulation, dt: float, *, held: bool) -> bool:
-    """Whether what happens between two samples counts: a late or slow sensor or a fast mode feels it, a slow driver makes it.
+def _steps_between(chain: Simulation, dt: float) -> int:
+    """Steps that a sample takes: of a held drive those of the simulation, see `Simulation.steps_per_sample`.
 
     Where the drive is not held but moves on, any share of a sample makes it late, and a response goes straight from one
     sample to the next: that is all that acts behind the film takes from it. Where the loops relax, they were fitted behind
     a held drive.
     """
-    if not held and any("follow" in effects()[blocks()[key].effect].hooks for key in chain.active()):
-        return False
-    for key in chain.active():
-        block = blocks()[key]
-        record = effects()[block.effect]
-        if not held:
-            if record.stage not in BEHIND_FILM and (record.between_samples or "delay" in record.hooks):
-                return True
-            continue
-        if SAMPLED.name in block.places and chain.coefficients[block.places[SAMPLED.name]] > 0.5:
-            continue
-        tones = [chain.coefficients[block.places[p.name]] for p in record.parameters if p.unit == "Hz"]
-        if record.between_samples or any(tone * dt > RINGING for tone in tones):
-            return True
-    return False
+    if chain.heated:
+        return chain.steps_per_sample(dt)
+    records = [effects()[blocks()[key].effect] for key in chain.active()]
+    if any("follow" in record.hooks for record in records):
+        return 1
+    before = [record for record in records if record.stage not in BEHIND_FILM]
+    return FINE if any(record.between_samples or "delay" in record.hooks for record in before) else 1
 
 
 def basis_of(device: str) -> EnrichmentBasis:

@@ -20,12 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from vo2_models.device.simulation import FINE
 from vo2_models.device.state import CURRENT_LINE
 from vo2_models.diagnosis.current_reading import between_samples
 from vo2_models.diagnosis.loop_shape import LoopShape, loop_shapes
 from vo2_models.diagnosis.misfit import NO_MISFIT, Whitening
 from vo2_models.diagnosis.noise import NoiseModel, samples_apart
-from vo2_models.diagnosis.nominal import FINE, Nominal, Response
+from vo2_models.diagnosis.nominal import Nominal, Response
 from vo2_models.diagnosis.nuisance import Constant, constants_of, law_columns
 from vo2_models.diagnosis.part import Part
 from vo2_models.diagnosis.propagate_correction import as_sensed
