@@ -176,3 +176,13 @@ def test_resonance_solves_the_oscillator(clean):
     assert np.abs(found - expected).max() < 2e-3 * np.ptp(d)
     half = _stepped("cantilever_resonance", share=0.5, frequency=frequency, damping=damping)[TIP_DEFLECTION]
     assert np.allclose(half, 0.5 * d + 0.5 * found, rtol=0, atol=1e-12)
+
+
+def test_delays_that_finer_steps_could_not_hold_are_simulated_in_one():
+    lagged = {"sensor_lag": {"signal": TIP_DEFLECTION, "time_constant": 1e-3}}
+    assert truth("integrated", effects=lagged).steps_per_sample(DT) == 4
+    assert truth("integrated", effects={**lagged, "dead_time": {"delay": 1.2}}).steps_per_sample(DT) == 1
+    late = truth("integrated", effects={**lagged, "dead_time": {"delay": 1.2}})
+    assert np.ptp(late.simulate(CURRENT, noise=False)[TIP_DEFLECTION]) < 1e-9
+    slow = {"averaging": {"signal": TIP_DEFLECTION, "window": 0.9}}
+    assert truth("integrated", effects=slow).steps_per_sample(DT) == 1

@@ -220,17 +220,22 @@ class Simulation:
         ----------
         dt : sample period [s]
         """
-        for key in self.active() if self.heated else ():
+        if not self.heated:
+            return 1
+        steps, late = 1, float(self.coefficients[Coefficient.DEAD_TIME])
+        for key in self.active():
             block = blocks()[key]
             record = effects()[block.effect]
-            if SAMPLED.name in block.places and self.coefficients[block.places[SAMPLED.name]] > 0.5:
+            values = {p.name: float(self.coefficients[block.places[p.name]]) for p in record.parameters}
+            late += record.hooks["delay"](**values) if "delay" in record.hooks else 0.0
+            if values.get(SAMPLED.name, 0.0) > 0.5:
                 continue
-            values = [(p.unit, self.coefficients[block.places[p.name]]) for p in record.parameters]
-            lasts = max((value / dt for unit, value in values if unit == "s"), default=0.0)
-            tone = max((value * dt for unit, value in values if unit == "Hz"), default=0.0)
+            lasts = max((values[p.name] / dt for p in record.parameters if p.unit == "s"), default=0.0)
+            tone = max((values[p.name] * dt for p in record.parameters if p.unit == "Hz"), default=0.0)
             if (record.between_samples and lasts <= HELD_IN_RINGS) or tone > RINGING:
-                return FINE
-        return 1
+                steps = FINE
+        # the line of currents holds no longer delay in finer steps
+        return steps if late <= (CURRENT_LINE - 2) * dt / FINE else 1
 
     def initial_state(self) -> ChainState:
         """Return the memory of a device that has rested without current, insulating, for long."""
