@@ -153,6 +153,15 @@ def test_a_poor_fit_is_told_with_the_branch_and_the_rate_where_it_is(recording, 
     assert f", most of it {words} and at the higher rates; look for" in note
 
 
+def test_a_channel_of_one_value_is_left_out_and_told(recording):
+    stuck = with_channel(recording, tip_deflection=np.full(COUNT, 1e-5))
+    (kept,), notes = check_calibration([stuck], "integrated")
+    assert TIP_DEFLECTION not in kept and RESISTANCE in kept
+    assert any("tip_deflection is 1e-05 in every sample and is left out" in note for note in notes)
+    (kept, _), notes = check_calibration([stuck, recording], "integrated")
+    assert TIP_DEFLECTION in kept and not any("in every sample" in note for note in notes)
+
+
 def test_noise_is_not_made_a_model_of(recording):
     noise = np.random.default_rng(3).standard_normal((2, COUNT))
     nothing = {RESISTANCE: 1e5 * np.exp(0.3 * noise[0]), TIP_DEFLECTION: 3e-5 + 1e-5 * noise[1]}

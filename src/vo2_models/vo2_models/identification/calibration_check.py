@@ -52,6 +52,7 @@ def check_calibration(
     """
     checked, notes = [], []
     nominal = preset(device)
+    still = _constant(recordings, nominal.channels[1:])
     for k, recording in enumerate(recordings):
         name = names[k] if k < len(names) else f"recording {k + 1}"
         least = _SHORTEST if nominal.has_body else _SHORTEST_QUASI_STATIC
@@ -67,8 +68,10 @@ def check_calibration(
         empty = [
             channel
             for channel in nominal.channels[1:]
-            if channel in recording and not _usable(recording, channel).any()
+            if channel in recording and channel not in still and not _usable(recording, channel).any()
         ]
+        kept = {channel: values for channel, values in recording.channels.items() if channel not in still}
+        recording = replace(recording, channels=kept)
         notes += [f"{name}: {text}" for text in unusual(recording, device)]
         notes += [f"{name}: {nominal.names[c]} has no value at all and is left out" for c in empty]
         notes += [f"{name}: {text}" for text in _missing(recording, empty, nominal)]
@@ -78,6 +81,10 @@ def check_calibration(
             )
         kept = {channel: values for channel, values in recording.channels.items() if channel not in empty}
         checked.append(replace(recording, channels=kept))
+    for channel, value in still.items():
+        notes.append(
+            f"{nominal.names[channel]} is {value:.6g} in every sample and is left out: a broken lead or a stuck converter"
+        )
     if nominal.has_body and (
         text := _one_way(checked, hot_is_high=nominal.operating_range[1] > nominal.operating_range[0])
     ):
@@ -155,6 +162,17 @@ def _where(result: FitResult, channel: str) -> str:
 def noise_level(channel: str, noise: float) -> float:
     """Return a sensor's noise in the unit in which the channel's residual is given (log10 ohm for the resistance)."""
     return noise / float(np.log(10.0)) if channel == RESISTANCE else noise
+
+
+def _constant(recordings: Sequence[Recording], channels: Sequence[str]) -> dict[str, float]:
+    """The channels that hold one value in all samples of all recordings, and the value."""
+    found = {}
+    for channel in channels:
+        values = np.concatenate([[], *(r[channel] for r in recordings if channel in r)])
+        values = values[np.isfinite(values)]
+        if values.size and np.ptp(values) == 0.0:
+            found[channel] = float(values[0])
+    return found
 
 
 def _usable(recording: Recording, channel: str) -> NDArray[np.bool_]:
