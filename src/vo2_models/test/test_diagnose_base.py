@@ -410,6 +410,24 @@ def test_a_ripple_begins_with_the_pitch_of_the_residual_and_any_phase(pitch, pha
     assert all(found.bounds("pitch")[0] < s["pitch"] < found.bounds("pitch")[1] for s in found.starts)
 
 
+def test_a_coarse_converter_has_no_limits_but_those_that_its_values_show() -> None:
+    bank = PlayBank([0.5], [0.0], [0.2], [-12.4], [0.2], [-11.0], [-4.7, 0.001])
+    lever = PlayBank([20e-6], [0.0], [0.2], [-12.4], [0.2], [-11.0], [30e-6, 1e-7])
+    model = DeviceModel("integrated", resistance=bank, deflection=lever)
+    noise = {TIP_DEFLECTION: NoiseModel(5e-8), RESISTANCE: NoiseModel(1e-3)}
+    nominal = replace(Nominal.from_parameters(model.to_parameters()), noise=noise)
+    current, dt = _drive(3000), 1e-3
+    shown = dict(nominal.respond(current, dt).channels)
+    fine, coarse = shown[TIP_DEFLECTION], 2e-6 * np.round(shown[TIP_DEFLECTION] / 2e-6)
+    for tip, searched in ((fine, True), (coarse, False)):
+        channels = {HEATER_CURRENT: current, RESISTANCE: 10.0 ** shown[RESISTANCE], TIP_DEFLECTION: tip}
+        recording = Recording(dt * np.arange(current.size), channels, "integrated")
+        problem = linearise_problem(nominal, [prepare(recording, nominal)])
+        keys = {h.key for h in hypotheses(problem, "integrated", problem.residual)}
+        assert (f"adc_saturation:{TIP_DEFLECTION}" in keys) == searched
+        assert f"adc_saturation:{RESISTANCE}" in keys and f"sensor_lag:{TIP_DEFLECTION}" in keys
+
+
 @pytest.mark.parametrize("apart", [2, 3, 5])
 def test_noise_of_a_slow_channel_is_whitened_by_the_samples_that_are_there(apart):
     noise = NoiseModel(0.3, (0.8,))

@@ -179,6 +179,8 @@ def hypotheses(problem: LinearisedProblem, device: str, residual: Floats) -> lis
                 continue
             if any((record.id, signal) in part.evident for part in problem.parts):
                 continue
+            if "evident" in record.hooks and any(part.comb.get(signal) for part in problem.parts):
+                continue  # a converter whose steps are seen shows its limits as well: within a step they are its rounding
             starts, scales = _starts(problem, record, signal, device, residual)
             if starts:
                 fastest = 0.5 / max(part.dt for part in problem.parts)
