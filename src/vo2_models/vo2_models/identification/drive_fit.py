@@ -13,7 +13,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.hysteresis.fitting_gpi import fit_play_model
 from vo2_models.parameters import Value
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
 
@@ -65,6 +64,8 @@ def fit_drive(
     ------
     ValueError : the drive is absent or not finite, neither output is there, or the fit's own reasons.
     """
+    from vo2_models.hysteresis.fitting_gpi import fit_play_model  # loads slowly, and a node starts without it
+
     if drive not in recording:
         raise ValueError(f"recording: found {', '.join(recording.channels)}, need the channel {drive}")
     v = recording[drive]
