@@ -1,5 +1,7 @@
 """The fitted simulation as parameters: what is written is what is read, and every node can declare it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from vo2_models.device import PARAMETERS, DeviceModel
@@ -131,3 +133,63 @@ def test_missing_deflection_is_a_flat_line(model):
     run = half.simulate(CURRENT, noise=False)
     assert np.all(run[TIP_DEFLECTION] == 0.0)
     assert np.ptp(run[RESISTANCE]) > 1e4
+
+
+REVERSIBLE = PlayBank([30e-6], [0.0], [0.06], [-0.06 * 60.05], [0.06], [-0.06 * 59.95], [0.0])
+"""A play of 0.1 K beside loops of 4 and 8 K: what the tip does without hysteresis, in micrometres per kelvin."""
+
+LOOP = 30e-6 * 0.06 * 0.1
+"""Height [m] of its own loop: the most that its memory can add."""
+
+
+def _with_reversible(model: DeviceModel) -> DeviceModel:
+    law = model.deflection
+    parts = {
+        name: np.append(getattr(law, name), getattr(REVERSIBLE, name))
+        for name in vars(REVERSIBLE)
+        if name in law.described and name not in ("polynomial", "radii")
+    }
+    return replace(
+        model, deflection=PlayBank(**parts, radii=np.zeros(3), polynomial=law.polynomial), effects={}
+    )
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("transition_offset", {"offset": 3.0}),
+        ("transition_kinetics", {"time_constant": 5e-3}),
+        ("rate_dependent_width", {"excess": 0.5, "exponent": 0.3}),
+        ("phase_dependent_expansion", {"slope": 5e-8}),
+    ],
+)
+def test_what_has_no_loop_follows_the_temperature_and_not_the_phase(model, effect, values):
+    """The change by an effect on the phase is the same with and without a play that has no loop."""
+    plain = replace(model, effects={})
+    changes = [
+        replace(one, effects={effect: values}).simulate(CURRENT, noise=False)[TIP_DEFLECTION]
+        - one.simulate(CURRENT, noise=False)[TIP_DEFLECTION]
+        for one in (plain, _with_reversible(model))
+    ]
+    assert np.ptp(changes[0]) > 10 * LOOP
+    assert np.abs(changes[1] - changes[0]).max() < LOOP
+
+
+def test_phase_fraction_leaves_out_what_has_no_loop(model):
+    """Latent heat is of the transition: the film is as warm with a play that has no loop as without."""
+    heat = {"latent_heat": {"latent": 8.0}}
+    films = [
+        replace(one, effects=heat).simulation.run(CURRENT, dt=1e-3, state=None)[:, 5]
+        for one in (replace(model, effects={}), _with_reversible(model))
+    ]
+    assert np.abs(films[1] - films[0]).max() < 8.0 * LOOP / np.ptp(model.deflection.span)
+    cold = replace(model, effects={}).simulation.run(CURRENT, dt=1e-3, state=None)[:, 5]
+    assert np.abs(films[0] - cold).max() > 1.0
+
+
+def test_an_effect_of_nearly_nothing_changes_nearly_nothing(model):
+    """What is computed apart once an effect on the phase is on adds up to what it was before."""
+    whole = _with_reversible(model)
+    touched = replace(whole, effects={"transition_offset": {"offset": 1e-12}})
+    one, other = (m.simulate(CURRENT, noise=False)[TIP_DEFLECTION] for m in (whole, touched))
+    np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.ptp(one) + 1e-16)

@@ -28,12 +28,22 @@ _DEVICE = {
     "ambient_of_device": Coefficient.AMBIENT,
     "on_stage": Coefficient.ON_STAGE,
 }
-FLAGS = (*HOOKS, "resistance", "middle", "advance:thermal", "advance:transition", "any:heat", "any:film")
+FLAGS = (
+    *HOOKS,
+    "resistance",
+    "middle",
+    "advance:thermal",
+    "advance:transition",
+    "any:heat",
+    "any:film",
+    "any:phase",
+)
 """What the chain asks before it looks at single effects: whether any that is on has the hook, heats with the film's
 resistance, takes the anhysteretic curve, or has states to be moved on in the stage; and whether any of them acts on the
-heat of the body, or between the body and what the transitions see."""
+heat of the body, between the body and what the transitions see, or on the phase and by it alone."""
 _HEATED = ("ambient", "heating", "pumping", "conductance", "loss", "lag", "latent", "advance:thermal")
 _SHIFTED = ("body", "film", "shift", "advance:transition")
+_OF_PHASE = ("shift", "structural_shift", "feedback", "follow", "beside", "latent", "conductance", "bending")
 
 
 @dataclass(frozen=True)
@@ -78,7 +88,7 @@ def plan() -> Plan:
         flags[FLAGS.index("middle"), k] = "middle" in _takes(record, "beside")
         if "advance" in record.hooks and record.stage in ("thermal", "transition"):
             flags[FLAGS.index(f"advance:{record.stage}"), k] = True
-        for name, parts in (("any:heat", _HEATED), ("any:film", _SHIFTED)):
+        for name, parts in (("any:heat", _HEATED), ("any:film", _SHIFTED), ("any:phase", _OF_PHASE)):
             flags[FLAGS.index(name), k] = any(flags[FLAGS.index(part), k] for part in parts)
         feedback[k] = warmed_by_film or any(HOOKS[h].substeps for h in record.hooks if h in HOOKS)
         every[k] = (

@@ -20,6 +20,7 @@ from vo2_models.device.core import (
     follow,
     initial_transitions,
     inner,
+    keep_reversible,
     output_share,
     own_heat,
     seen_temperature,
@@ -46,7 +47,9 @@ COLUMNS = 9
 resistance [ohm], and the two transition outputs."""
 _SENSORS, _PER_CHANNEL, _COUNT = len(C), len(Sensor), len(CHANNELS)
 _NOISE = len(S)
-_RESISTANCE, _BENDING = (first_flag() + FLAGS.index(name) for name in ("resistance", "bending"))
+_RESISTANCE, _BENDING, _PHASE = (
+    first_flag() + FLAGS.index(name) for name in ("resistance", "bending", "any:phase")
+)
 LN10 = math.log(10.0)
 # the delay line is a ring whose length is a power of two
 _LINE = CURRENT_LINE - 1
@@ -65,12 +68,12 @@ def _driver(c, x, command, time, period):
 def _film_resistance(kind, c, x, poly_r):
     if kind == ENSEMBLE:
         return truth_resistance(c, x[S.FILM], x[S.OUT_R])
-    return math.exp(-LN10 * (x[S.OUT_R] + polynomial(poly_r, x[S.FILM])))
+    return math.exp(-LN10 * (x[S.OUT_R] + x[S.REVERSIBLE_R] + polynomial(poly_r, x[S.FILM])))
 
 
 @inner
 def _film_deflection(kind, c, x, poly_d):
-    value = x[S.OUT_D] + polynomial(poly_d, x[S.FILM])
+    value = x[S.OUT_D] + x[S.REVERSIBLE_D] + polynomial(poly_d, x[S.FILM])
     if kind == ENSEMBLE:
         value = truth_deflection(c, x[S.FILM], x[S.OUT_D])
     if c[_BENDING] != 0.0:
@@ -233,21 +236,26 @@ def through_sensor(c, x, channel, series):
 
 
 @kernel(nogil=True)
-def finish_film(kind, c, x, poly_d, rest, at_rest, film, out, every, result):
+def finish_film(kind, c, x, packed_r, packed_d, poly_d, rest, at_rest, film, out, every, result):
     """Terminals, structure and sensors of both film channels, once more, on a corrected film.
 
     `rest` (COLUMNS,) : the film at rest; `at_rest` (2,), `film` (n, 2) : what is added to log10 R and to the deflection
     [m]; of `every` samples the last is written to `result` (n // every, COLUMNS).
     """
     c, poly_d, film = borrow(c), borrow(poly_d), borrow(film)
+    packed_r, packed_d = borrow(packed_r), borrow(packed_d)
     out, result, x = borrow(out), borrow(result), borrow(x)
     period = c[C.SAMPLE_PERIOD]
     x[S.FILM] = rest[5]
+    if c[_PHASE] != 0.0:
+        keep_reversible(x, packed_r, packed_d)
     x[S.OUT_D] = rest[8] + at_rest[1]
     _settle_behind_film(c, x, rest[6] * 10.0 ** at_rest[0], _film_deflection(kind, c, x, poly_d), rest[3])
     for k in range(out.shape[0]):
         time = c[C.CLOCK] * (k * period)
         x[S.FILM] = out[k, 5]
+        if c[_PHASE] != 0.0:
+            keep_reversible(x, packed_r, packed_d)
         x[S.OUT_D] = out[k, 8] + film[k, 1]
         resistance = out[k, 6] * math.exp(LN10 * min(max(film[k, 0], -30.0), 30.0))
         tip = generated.structure(c, x, _film_deflection(kind, c, x, poly_d), period)

@@ -23,7 +23,7 @@ from vo2_models.device.assembly import FLAGS
 from vo2_models.device.coefficients import Coefficient as C
 from vo2_models.device.coefficients import first_flag
 from vo2_models.device.ensemble import count_above, ensemble_peek, ensemble_step
-from vo2_models.device.law_step import has_law, middle, move
+from vo2_models.device.law_step import has_law, middle, move, reversible
 from vo2_models.device.state import Slot as S
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "advance",
     "follow",
     "initial_transitions",
+    "keep_reversible",
     "output_share",
     "own_heat",
     "seen_temperature",
@@ -39,9 +40,9 @@ __all__ = [
 ]
 
 PLAYS, ENSEMBLE = 0, 1
-_FEEDBACK, _BESIDE, _MIDDLE, _CONDUCTANCE, _HEATED, _SHIFTED = (
+_FEEDBACK, _BESIDE, _MIDDLE, _CONDUCTANCE, _HEATED, _SHIFTED, _PHASE = (
     first_flag() + FLAGS.index(name)
-    for name in ("feedback", "beside", "middle", "conductance", "any:heat", "any:film")
+    for name in ("feedback", "beside", "middle", "conductance", "any:heat", "any:film", "any:phase")
 )
 # only what the chain calls from outside is kept in the cache: this is part of it
 inner = numba.njit(error_model="numpy")
@@ -79,12 +80,25 @@ def _move(kind, which, v, packed, play, levels, domains, metallic, x):
 
 
 @inner
-def _peek(kind, lead, v, packed, play, levels, domains, metallic, x):
+def _peek(kind, lead, v, packed, play, levels, domains, metallic, c, x):
     """Output of the transition `lead` after a move to v that is not made."""
     if kind == PLAYS:
-        return move(v, packed, play, False)
+        return move(v, packed, play, False) - (reversible(v, packed) if c[_PHASE] != 0.0 else 0.0)
     count = ensemble_peek(v, x[S.PREVIOUS_R + lead], lead, levels, domains, metallic, x[S.COUNT_R + lead])
     return count / metallic.shape[1]
+
+
+@inner
+def keep_reversible(x, packed_r, packed_d):
+    """Keep what has no hysteresis at the film's temperature: effects that act on the phase alone leave it alone."""
+    x[S.REVERSIBLE_R] = reversible(x[S.FILM], packed_r)
+    x[S.REVERSIBLE_D] = reversible(x[S.FILM], packed_d)
+
+
+@inner
+def _reversible_at(v, kept, packed, x):
+    """What has no hysteresis at the temperature v [degC]; `kept` : at that of the film."""
+    return kept if v == x[S.FILM] else reversible(v, packed)
 
 
 @inside
@@ -100,9 +114,9 @@ def _fraction_at(
     """Leading phase fraction after a move of the film to the temperature `film` that is not made."""
     v = film + lead * generated.structural_shift(c, x)
     if lead == 1:
-        raw = _peek(kind, lead, v, packed_d, play_d, levels, domains, metallic, x)
+        raw = _peek(kind, lead, v, packed_d, play_d, levels, domains, metallic, c, x)
     else:
-        raw = _peek(kind, lead, v, packed_r, play_r, levels, domains, metallic, x)
+        raw = _peek(kind, lead, v, packed_r, play_r, levels, domains, metallic, c, x)
     return output_share(kind, lead, _followed(lead, raw, c, x), c)
 
 
@@ -120,7 +134,7 @@ def _among_neighbours(
     for _ in range(4):
         v = felt + which * generated.structural_shift(c, x)
         packed, play = (packed_d, play_d) if which == 1 else (packed_r, play_r)
-        raw = _peek(kind, which, v, packed, play, levels, domains, metallic, x)
+        raw = _peek(kind, which, v, packed, play, levels, domains, metallic, c, x)
         there = output_share(kind, which, _followed(which, raw, c, x), c)
         before = felt
         felt = film + generated.feedback(c, x, there)
@@ -166,6 +180,10 @@ def initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, 
     x[S.RAW_R] = _move(kind, 0, rest, packed_r, play_r, levels, domains, metallic, x)
     there = rest + generated.structural_shift(c, x)
     x[S.RAW_D] = _move(kind, 1, there, packed_d, play_d, levels, domains, metallic, x)
+    if c[_PHASE] != 0.0:
+        keep_reversible(x, packed_r, packed_d)
+        x[S.RAW_R] -= x[S.REVERSIBLE_R]
+        x[S.RAW_D] -= _reversible_at(there, x[S.REVERSIBLE_D], packed_d, x)
     x[S.EQUILIBRIUM_R] = x[S.RAW_R]
     x[S.EQUILIBRIUM_D] = x[S.RAW_D]
     x[S.OUT_R] = x[S.RAW_R]
@@ -303,8 +321,13 @@ def warm(c, x, current, h, time):
 @inner
 def follow(c, x, effective, packed_r, packed_d, play_r, play_d):
     """Bring the transitions to an input [degC]. Where `FOLLOWS` is set."""
+    there = effective + generated.structural_shift(c, x)
     x[S.RAW_R] = move(effective, packed_r, play_r, True)
-    x[S.RAW_D] = move(effective + generated.structural_shift(c, x), packed_d, play_d, True)
+    x[S.RAW_D] = move(there, packed_d, play_d, True)
+    if c[_PHASE] != 0.0:
+        keep_reversible(x, packed_r, packed_d)
+        x[S.RAW_R] -= _reversible_at(effective, x[S.REVERSIBLE_R], packed_r, x)
+        x[S.RAW_D] -= _reversible_at(there, x[S.REVERSIBLE_D], packed_d, x)
     x[S.EQUILIBRIUM_R] = x[S.RAW_R]
     x[S.EQUILIBRIUM_D] = x[S.RAW_D]
     x[S.OUT_R] = x[S.RAW_R]
@@ -342,6 +365,10 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
     effective_d += generated.structural_shift(c, x)
     raw_r = _move(kind, 0, effective, packed_r, play_r, levels, domains, metallic, x)
     raw_d = _move(kind, 1, effective_d, packed_d, play_d, levels, domains, metallic, x)
+    if c[_PHASE] != 0.0:
+        keep_reversible(x, packed_r, packed_d)
+        raw_r -= _reversible_at(effective, x[S.REVERSIBLE_R], packed_r, x)
+        raw_d -= _reversible_at(effective_d, x[S.REVERSIBLE_D], packed_d, x)
     followed_r = _followed(0, raw_r, c, x)
     followed_d = _followed(1, raw_d, c, x)
     x[S.EQUILIBRIUM_R] = raw_r
@@ -377,11 +404,11 @@ def _span(kind, which, c):
 
 
 @inner
-def _anhysteretic(kind, which, v, packed, levels):
+def _anhysteretic(kind, which, v, packed, c, levels):
     """Output half way between the two major branches at the temperature v."""
     if kind == ENSEMBLE:
         return 0.5 * (count_above(levels, which, 0, v) + count_above(levels, which, 1, v)) / levels.shape[2]
-    return middle(v, packed)
+    return middle(v, packed) - (reversible(v, packed) if c[_PHASE] != 0.0 else 0.0)
 
 
 @inner
@@ -397,7 +424,7 @@ def _add_beside(kind, c, x, effective, effective_d, packed_r, packed_d, levels):
         middle = 0.0
         if c[_MIDDLE] != 0.0:
             v = effective if which == 0 else effective_d
-            middle = (_anhysteretic(kind, which, v, packed, levels) - raw) / span
+            middle = (_anhysteretic(kind, which, v, packed, c, levels) - raw) / span
         added = generated.beside(c, x, 4.0 * inside * (1.0 - inside), x[S.FILM], middle)
         out = x[S.OUT_R + which] + added * span
         x[S.OUT_R + which] = min(max(out, 0.0), 1.0) if kind == ENSEMBLE else out

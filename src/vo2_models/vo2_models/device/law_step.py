@@ -23,9 +23,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from vo2_models.hysteresis.law import Law
 from vo2_models.hysteresis.laws import FILED
-from vo2_models.hysteresis.play_bank import middle_plays, move_plays
+from vo2_models.hysteresis.play_bank import middle_plays, move_plays, of_reversible, reversible_plays
 
-__all__ = ["first_memory", "has_law", "middle", "move", "pack_law"]
+__all__ = ["first_memory", "has_law", "has_reversible", "middle", "move", "pack_law", "reversible"]
 
 Floats = NDArray[np.float64]
 HEADER = 2
@@ -64,6 +64,16 @@ def first_memory(packed: Floats) -> Floats:
     state[0] = -1e6
     state[1:] = -1.0 + packed[6 + count : 6 + 2 * count]
     return state
+
+
+def has_reversible(packed: Floats) -> bool:
+    """Return whether part of a law has no hysteresis, see `reversible`.
+
+    Parameters
+    ----------
+    packed : (1, n) packed law, or (n,) packed bank
+    """
+    return packed.ndim == 1 and bool(packed[of_reversible(int(packed[0]))] > 0.0)
 
 
 def _written() -> Any:
@@ -115,6 +125,11 @@ def middle(v: float, packed: Floats) -> float:
     raise NotImplementedError
 
 
+def reversible(v: float, packed: Floats) -> float:
+    """Return what of a `packed` bank of plays has no hysteresis at the input v [degC], of another law 0; in compiled code."""
+    raise NotImplementedError
+
+
 def has_law(packed: Floats) -> bool:
     """Return whether there is a law.
 
@@ -147,6 +162,13 @@ def _middle(v, packed):
         return 0.5 * (_apart(v, packed, lower, False) + _apart(v, packed, upper, False))
 
     return of_law
+
+
+@overload(reversible, jit_options=_OPTIONS)
+def _reversible(v, packed):
+    if packed.ndim == 2:
+        return lambda v, packed: 0.0
+    return lambda v, packed: reversible_plays(v, packed)
 
 
 @overload(has_law, jit_options=_OPTIONS)

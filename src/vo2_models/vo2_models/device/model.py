@@ -218,8 +218,8 @@ class DeviceModel:
         c = nominal_coefficients(preset(self.device))
         for name, value in self.scalars.items():
             c[_COEFFICIENT[name]] = value
-        c[Coefficient.PLAY_LOW_R], c[Coefficient.PLAY_HIGH_R] = _open(self.resistance.span)
-        c[Coefficient.PLAY_LOW_D], c[Coefficient.PLAY_HIGH_D] = _open(self.deflection.span)
+        c[Coefficient.PLAY_LOW_R], c[Coefficient.PLAY_HIGH_R] = self._phase_span(self.resistance)
+        c[Coefficient.PLAY_LOW_D], c[Coefficient.PLAY_HIGH_D] = self._phase_span(self.deflection)
         for channel, sensor in self.sensors.items():
             kind = Sensor.NOISE_RELATIVE if channel == RESISTANCE else Sensor.NOISE
             c[sensor_index(channel, kind)] = sensor.noise
@@ -237,6 +237,15 @@ class DeviceModel:
             poly_r=poly_r,
             poly_d=poly_d,
         ).with_effects(self.effects)
+
+    def _phase_span(self, law: Law) -> tuple[float, float]:
+        """What a law's hysteretic output spans while the phase changes; of an absent one so that it divides by one."""
+        low, high = law.span
+        if isinstance(law, PlayBank) and self.description.has_body:
+            reach = 1.0 - np.asarray(law.radii)
+            beside = float(np.dot(np.asarray(law.weights)[law.reversible], reach[law.reversible]))
+            low, high = low + beside, high - beside
+        return (low, high) if high > low else (0.0, 1.0)
 
     def simulate(
         self,
@@ -334,11 +343,6 @@ def _plain(value: Value) -> Value:
     if isinstance(value, list):
         return [float(v) for v in value]
     return value if isinstance(value, str) else float(value)
-
-
-def _open(span: tuple[float, float]) -> tuple[float, float]:
-    """A span that is not empty, so that an absent bank divides by one."""
-    return span if span[1] > span[0] else (0.0, 1.0)
 
 
 def _effects_of(given: Mapping[str, Value]) -> dict[str, dict[str, float | str]]:

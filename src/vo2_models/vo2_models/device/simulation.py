@@ -27,7 +27,7 @@ from vo2_models.device.coefficients import (
 )
 from vo2_models.device.core import ENSEMBLE, PLAYS
 from vo2_models.device.description import DeviceDescription, preset
-from vo2_models.device.law_step import first_memory, has_law
+from vo2_models.device.law_step import first_memory, has_law, has_reversible
 from vo2_models.device.state import CURRENT_LINE, ChainState, Slot
 from vo2_models.effects import effects
 from vo2_models.effects.record import SAMPLED
@@ -180,6 +180,10 @@ class Simulation:
         c[first_flag() : first_flag() + of.flags.shape[0]] = of.flags @ on
         for name, raised in (("resistance", own_heat), ("any:heat", own_heat or slow), ("any:film", slow)):
             c[first_flag() + FLAGS.index(name)] += float(raised)
+        # without a body the input of a law is the drive itself, and its loops may be as thin as one likes
+        banks = (self.packed_r, self.packed_d)
+        if not (preset(self.device).has_body and any(has_reversible(packed) for packed in banks)):
+            c[first_flag() + FLAGS.index("any:phase")] = 0.0
         between = c[Coefficient.BETWEEN] = c[Coefficient.TIME_CONSTANT] if self.heated else HUGE
         sensed = set()
         for k in np.flatnonzero(on):
@@ -271,6 +275,7 @@ class Simulation:
             still.coefficients[[sensor_index(channel, name) for channel in CHANNELS]] = 0.0
         c = still.prepared(dt)
         held = np.full(self._samples_to_rest(dt, c), float(current))
+        law = (self.kind, c, x, self.poly_r, self.poly_d)
         still.run(held, dt=dt, state=state)
         if any(
             effects()[key].stage == "thermal" and effects()[key].states
@@ -278,10 +283,10 @@ class Simulation:
             if ":" not in key
         ):
             for _ in range(3):  # where the film's resistance heats, the drive itself still moves
-                chain.bring_to_rest(self.kind, c, x, self.poly_r, self.poly_d, x[Slot.CURRENT], True)
+                chain.bring_to_rest(*law, x[Slot.CURRENT], True)
                 still.run(held, dt=dt, state=state)
-            chain.bring_to_rest(self.kind, c, x, self.poly_r, self.poly_d, x[Slot.CURRENT], True)
-        chain.bring_to_rest(self.kind, c, x, self.poly_r, self.poly_d, x[Slot.CURRENT], False)
+            chain.bring_to_rest(*law, x[Slot.CURRENT], True)
+        chain.bring_to_rest(*law, x[Slot.CURRENT], False)
         x[Slot.SAMPLE] = 0.0
         state.line[:] = x[Slot.CURRENT]
         return state

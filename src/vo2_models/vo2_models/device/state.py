@@ -38,6 +38,10 @@ class Slot(IntEnum):
     EQUILIBRIUM_D = auto()
     OUT_R = auto()  # with what happens beside switching
     OUT_D = auto()
+    REVERSIBLE_R = (
+        auto()
+    )  # what the laws have without hysteresis, where effects act on the phase alone; else 0
+    REVERSIBLE_D = auto()
     FRACTION_R = auto()  # 1, switched share
     FRACTION_D = auto()
     LAST_CHANGE_R = auto()  # 1, of the fraction in the step before

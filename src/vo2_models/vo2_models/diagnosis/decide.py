@@ -30,7 +30,7 @@ from vo2_models.diagnosis.read import Reading
 from vo2_models.diagnosis.result import NextExperiment
 from vo2_models.diagnosis.search import Search
 
-__all__ = ["Decision", "decide", "without_a_name"]
+__all__ = ["Decision", "decide", "told_as", "without_a_name"]
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -59,6 +59,7 @@ class Decision:
     equivalent : keys of the effects of which it is one, best first, that of `chosen` among them, which stands for all; empty
         where a single effect is named. On a device without body those that explain as much as `chosen` does; elsewhere those
         that are together as likely as a name has to be, see `report.equally_likely`
+    ahead : whether all others of `equivalent` leave more than `chosen` by many standard deviations
     """
 
     verdict: Literal["agrees", "drifted", "differs"]
@@ -76,13 +77,14 @@ class Decision:
     adequacy: Adequacy | None = None
     unlike_noise: bool = False
     equivalent: tuple[str, ...] = ()
+    ahead: bool = False
 
 
 @dataclass(frozen=True)
 class _Verdict:
     """The first option that is admissible, or the nuisance model alone.
 
-    `shown` is the largest share of the excess that an option explains, admissible or not; `equivalent` as in `Decision`.
+    `shown` is the largest share of the excess that an option explains, admissible or not; `equivalent`, `ahead` as in `Decision`.
     """
 
     option: Option | None
@@ -92,6 +94,7 @@ class _Verdict:
     adequacy: Adequacy | None
     shown: float
     equivalent: tuple[str, ...] = ()
+    ahead: bool = False
 
 
 def decide(located: Located, found: Search, reading: Reading, limits: Limits, clock: Clock) -> Decision:
@@ -148,13 +151,14 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
         shown = max(shown, adequacy.share, judged.share)
         admissible = _is_admissible(option, judged, adequacy, limits)
         equivalent: tuple[str, ...] = ()
+        ahead = False
         if located.own_misfit:
             admissible = admissible and len(option.chosen.keys) == 1
-            equivalent = _as_adequate(located, option, found.singles, limits, clock)
+            equivalent, ahead = _as_adequate(located, option, found.singles, limits, clock)
         rivals, remaining = option.rivals, option.remaining
         hidden = admissible and found.hidden
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
-            return _Verdict(option, judged, rivals, remaining, adequacy, shown, equivalent)
+            return _Verdict(option, judged, rivals, remaining, adequacy, shown, equivalent, ahead)
     likeliest = min(judgements, key=lambda one: one.something_else(limits), default=None)
     return _Verdict(None, held_out(problem, None, folds=folds), rivals, remaining, likeliest, shown)
 
@@ -195,7 +199,7 @@ def _named(
         verdict="differs", final=final, chosen=chosen, judged=verdict.judged, rivals=verdict.rivals,
         remaining_excess=verdict.remaining, unnamed=None,
         breakdown=tuple(breakdown(final, trace(final), floor=0.0)), rival_pairs=tuple(pairs), proposal=proposal,
-        drift=drift, mimics=mimics, adequacy=verdict.adequacy, equivalent=verdict.equivalent,
+        drift=drift, mimics=mimics, adequacy=verdict.adequacy, equivalent=verdict.equivalent, ahead=verdict.ahead,
     )  # fmt: skip
 
 
@@ -350,26 +354,41 @@ def _equivalent(option: Option, singles: Sequence[Explanation], limits: Limits) 
 
 def _as_adequate(
     located: Located, option: Option, singles: Sequence[Explanation], limits: Limits, clock: Clock
-) -> tuple[str, ...]:
+) -> tuple[tuple[str, ...], bool]:
     """Keys of the effects that gain nearly as much as an option and leave no more than it does or an unchanged device shows.
 
     Each is fitted about itself, as the option was: what holds only where the simulation is linear does not tell what is left.
+    And whether each but the option leaves more than it does by many standard deviations, of the size of what the option leaves.
     """
 
     def left(one: Option) -> float:
         return max(over_misfit(one.final, one.final.residual - one.chosen.deviation).values(), default=0.0)
 
+    own = option.chosen
     most = limits.unlike_misfit * max(1.0, left(option) / limits.own_misfit)
     rivals = {one.keys[0]: one for one in singles}
+    kept = {own.keys[0]: np.inf}
+    for key in _equivalent(option, singles, limits):
+        if key not in kept:
+            rival = option_of(located.nominal, located.problem, rivals[key], (), tick=clock.tick)
+            if left(rival) <= most or rival.chosen.gain >= limits.equal_of_misfit * own.gain:
+                kept[key] = rival.chosen.chi_square - own.chi_square
+    ahead = min(kept.values()) > limits.apart * max(1.0, own.chi_square / option.final.count)
+    order = [key for key in _equivalent(option, singles, limits) if key in kept]
+    return (tuple(order), ahead) if len(order) > 1 else ((), False)
 
-    def stands(key: str) -> bool:
-        if key == option.chosen.keys[0]:
-            return True
-        rival = option_of(located.nominal, located.problem, rivals[key], (), tick=clock.tick)
-        return left(rival) <= most or rival.chosen.gain >= limits.equal_of_misfit * option.chosen.gain
 
-    kept = tuple(key for key in _equivalent(option, singles, limits) if stands(key))
-    return kept if len(kept) > 1 else ()
+def told_as(decision: Decision, equivalent: tuple[str, ...]) -> Decision:
+    """Return the decision told as one of several effects, or as one alone, which has no rival then.
+
+    Parameters
+    ----------
+    decision : with a name
+    equivalent : as of `Decision`
+    """
+    if decision.equivalent and not equivalent:
+        return replace(decision, equivalent=(), rival_pairs=(), proposal=None)
+    return replace(decision, equivalent=equivalent)
 
 
 def _significant(explanation: Explanation, limits: Limits) -> bool:

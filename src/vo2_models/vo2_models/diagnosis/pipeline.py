@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
-from vo2_models.diagnosis.decide import decide, without_a_name
+from vo2_models.diagnosis.decide import decide, told_as, without_a_name
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import locate
 from vo2_models.diagnosis.nominal import Nominal
@@ -92,7 +92,7 @@ def study(
         found = search(located, limits, clock, one_loop=reading.one_loop, first_use=reading.first_use)
         decision = decide(located, found, reading, limits, clock)
         answer = Study(reading, located, found, decision, limits, 0.0)
-        decision = replace(decision, equivalent=equally_likely(answer))
+        decision = told_as(decision, equally_likely(answer))
         answer = replace(answer, decision=decision)
         if unlikely(answer):
             decision = without_a_name(decision, located, found, reading, limits, clock)

@@ -143,8 +143,8 @@ def propagate_correction(simulation: Simulation, film: Film, dt: float, *, every
     c = simulation.prepared(dt)
     result = film.out[every - 1 :: every].copy()
     finish_film(
-        simulation.kind, c, np.zeros(state_size()), simulation.poly_d, film.rest, film.added_at_rest, film.added, film.out,
-        every, result,
+        simulation.kind, c, np.zeros(state_size()), simulation.packed_r, simulation.packed_d, simulation.poly_d,
+        film.rest, film.added_at_rest, film.added, film.out, every, result,
     )  # fmt: skip
     return result
 

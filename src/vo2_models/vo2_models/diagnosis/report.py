@@ -245,16 +245,20 @@ def equally_likely(study: Study) -> tuple[str, ...]:
     """Return the keys of the effects of which the answer is one, likeliest first; none where one of them can be named.
 
     A single name must be more likely than everything else together. Where none is, but an effect of the catalogue is likelier
-    than something that is in none, the fewest effects that hold most of the probability are told in its place.
+    than something that is in none, the fewest effects that hold most of the probability are told in its place. On a device
+    without body those that explain as much are told, unless one is ahead of them by what is left and by its probability.
 
     Parameters
     ----------
     study : what the stages found
     """
     chosen = study.decision.chosen
-    if chosen is None or len(chosen.keys) > 1 or not study.located.problem.nominal.model.description.has_body:
+    if chosen is None or len(chosen.keys) > 1:
         return study.decision.equivalent
     probability = _candidates(study)[1]
+    if not study.located.problem.nominal.model.description.has_body:
+        alone = study.decision.ahead and probability[chosen.keys[0]] > study.limits.credible
+        return () if alone else study.decision.equivalent
     if probability[chosen.keys[0]] > 0.5 or _something_else(study) >= 0.5:
         return ()
     order = sorted(probability, key=lambda key: (-probability[key], key != chosen.keys[0]))

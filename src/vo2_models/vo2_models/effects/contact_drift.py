@@ -20,7 +20,8 @@ EFFECT = Effect(
     source="any text on two-terminal measurement",
     statement=(
         "A probe creeps, a pad oxidises: what is in series with the film grows with the time. On the metallic plateau it "
-        "shows, beside the insulating resistance it is lost; a drifting gain would change both by the same share."
+        "shows, beside the insulating resistance it is lost; a drifting gain would change both by the same share. A meter whose "
+        "zero drifts gives the same values."
     ),
 )
 

@@ -26,12 +26,15 @@ from vo2_models.validation import finite_array, nonnegative
 if TYPE_CHECKING:
     from vo2_models.hysteresis.prandtl_ishlinskii import EGPI
 
-__all__ = ["PlayBank", "middle_plays", "move_plays", "tanh"]
+__all__ = ["PlayBank", "middle_plays", "move_plays", "of_reversible", "reversible_plays", "tanh"]
 
 Floats = NDArray[np.float64]
 
 _FARTHEST = 40.0
 """Where tanh is 1 to the last bit: exp(-40) < 2^-54."""
+_NARROW = 0.15
+"""Width of a play's own loop, as a share of the mean, below which it is reversible: of fits to six devices whose thinnest
+domains are 1.5 K wide, plays that stood for their expansion had at most 0.11 of it, all others at least 0.2."""
 
 
 @kernel(inline="always")
@@ -98,6 +101,25 @@ def middle_plays(v, packed):
         heating = max(tanh(packed[place + 2 * n] * v + packed[place + 3 * n]) - radius, radius - 1.0)
         cooling = min(tanh(packed[place + 4 * n] * v + packed[place + 5 * n]) + radius, 1.0 - radius)
         total += packed[place] * 0.5 * (heating + cooling)
+    return total
+
+
+@kernel(inline="always")
+def of_reversible(n):
+    """Place in a packed bank of n plays of the number of those that have no loop of their own; which they are comes next."""
+    return HEADER + 6 * n
+
+
+@kernel(forceinline=True)
+def reversible_plays(v, packed):
+    """Weighted sum at the input v [degC] of the plays that have no loop of their own, see `PlayBank.reversible`."""
+    n = int(packed[0])
+    count = of_reversible(n)
+    total = 0.0
+    for j in range(int(packed[count])):
+        place = HEADER + int(packed[count + 1 + j])
+        slope = 0.5 * (packed[place + 2 * n] + packed[place + 4 * n])
+        total += packed[place] * math.tanh(slope * v + 0.5 * (packed[place + 3 * n] + packed[place + 5 * n]))
     return total
 
 
@@ -180,11 +202,25 @@ class PlayBank(Law):
 
     @cached_property
     def packed(self) -> Floats:
-        """The plays as `hysteresis.kernels` packs them, without bias and polynomial."""
+        """The plays as `hysteresis.kernels` packs them, without bias and polynomial; how many are `reversible`, and which."""
         count = np.size(self.weights)
         header = np.array([count, TANH, 0.0, 2.0, 0.0, 0.0])
         parts = [getattr(self, part.name) for part in fields(self)[:-1]]
-        return np.concatenate([header, *parts])
+        return np.concatenate([header, *parts, [self.reversible.size], self.reversible])
+
+    @cached_property
+    def reversible(self) -> NDArray[np.intp]:
+        """Which plays have next to no loop of their own: (m,) indices.
+
+        A device's expansion, or how its resistance falls outside the transition, is part of what a bank is fitted to. Where the
+        polynomial does not describe it a play does, nearly without a loop. On a heated body it follows the temperature and not
+        the phase.
+        """
+        radii = np.minimum(np.asarray(self.radii), 1.0 - 1e-12)
+        up = (np.arctanh(radii) - np.asarray(self.rising_offsets)) / np.asarray(self.rising_slopes)
+        down = (-np.arctanh(radii) - np.asarray(self.falling_offsets)) / np.asarray(self.falling_slopes)
+        widths, share = np.maximum(up - down, 0.0), np.abs(self.weights)
+        return np.flatnonzero(widths * np.sum(share) < _NARROW * np.dot(share, widths))
 
     @property
     def memory_size(self) -> int:
