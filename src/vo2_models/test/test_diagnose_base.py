@@ -12,18 +12,20 @@ from vo2_models.diagnosis.adequacy import adequacy_of, reached, sureness
 from vo2_models.diagnosis.breakdown import breakdown, locate
 from vo2_models.diagnosis.courses import course_columns, gain_of_course, with_courses
 from vo2_models.diagnosis.current_reading import as_commanded, between_samples, current_reading
-from vo2_models.diagnosis.explain import Explanation, fit_jointly, score, switched
+from vo2_models.diagnosis.explain import Explanation, Score, fit_jointly, score, switched
 from vo2_models.diagnosis.hypotheses import MAGNITUDE_STEP, Hypothesis, hypotheses, windowed
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.loop_shape import _block_covariance
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of, rounded_with_noise
 from vo2_models.diagnosis.nuisance import Constant, Coverage, constants_of, coverage
-from vo2_models.diagnosis.pairs import _untried, option_of, trace
+from vo2_models.diagnosis.pairs import _simplest, _untried, option_of, trace
 from vo2_models.diagnosis.part import prepare
 from vo2_models.diagnosis.problem import LATEST, QUICKEST, linearise_problem
+from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.propagate_correction import as_sensed, corrected_film, propagate_correction
 from vo2_models.diagnosis.report import odds_of_rival
+from vo2_models.diagnosis.search import _refitted
 from vo2_models.diagnosis.tangent import Tangent
 from vo2_models.effects import effects
 from vo2_models.hysteresis.play_bank import PlayBank
@@ -302,6 +304,41 @@ def test_no_residual_asks_for_a_delay_that_the_simulation_cannot_hold() -> None:
     assert np.all(np.isfinite(response.temperature))
 
 
+def test_what_scores_cannot_tell_is_tried_both_ways() -> None:
+    """Scores take one step a sample: whether a sensor is late by itself or on its samples alone they do not see."""
+    late = {"signal": RESISTANCE, "delay": 0.3e-3, "sampled": 0.0}
+    problem = _changed({"clock_offset:film_resistance": late})
+    hypothesis = next(
+        h
+        for h in hypotheses(problem, "integrated", problem.residual)
+        if h.key == f"clock_offset:{RESISTANCE}"
+    )
+    starts = [
+        Score(hypothesis, {"delay": 0.2e-3, "sampled": sampled}, problem.residual_chi_square)
+        for sampled in (0.0, 1.0)
+    ]
+    fits = _refitted(problem, starts, Limits(), 2, Clock(lambda share, text: None, 1))
+    stuck = fit_jointly(problem, [hypothesis], [starts[1].start])
+    assert stuck.gain < 0.5 * fits[0].gain  # and would not be followed to the end
+    for fit in fits:
+        assert fit.values[0]["sampled"] == 0.0
+        assert fit.values[0]["delay"] == pytest.approx(0.3e-3, rel=0.05)
+
+
+def test_a_pair_with_fewer_parameters_is_named_where_the_others_cost_more_than_they_bring() -> None:
+    problem = _changed({})
+    dear, cheap, poor = (
+        Explanation(
+            hypotheses=(), values=(), chi_square=problem.count + chi, gain=0.0, covariance=np.zeros((0, 0)),
+            coordinates=tuple((0, str(k)) for k in range(count)), deviation=np.zeros(0), tangent=np.zeros((0, 0)),
+        )
+        for chi, count in ((0.0, 4), (40.0, 2), (400.0, 1))
+    )  # fmt: skip
+    assert Limits().rival < 40.0  # told apart by chi-square, but not by what two parameters more cost
+    assert _simplest([(problem, e) for e in (dear, cheap, poor)], Limits())[1] is cheap
+    assert _simplest([(problem, e) for e in (dear, poor)], Limits())[1] is dear
+
+
 def test_what_stays_on_is_never_switched_off() -> None:
     problem = _changed({"laser_heating": {"rise": 0.8, "start": 0.731}})
     hypothesis = Hypothesis(
@@ -368,6 +405,9 @@ def test_a_rival_is_as_probable_as_misfit_that_is_left_makes_it() -> None:
     assert (
         odds_of_rival(problem, change, none, dearer=1e4) < 1e-6
     )  # but for that it has parameters which cost more
+    # fitted elsewhere, where it leaves more than the other
+    assert odds_of_rival(problem, change, none, worse=1e4) < 1e-6
+    assert odds_of_rival(problem, none, change, worse=-10.0) == 1.0
     # what is left for long stretches speaks for the rival in one and against it in the next: it may be either
     either_way = np.where(np.arange(none.size) // 500 % 2 == 0, 2.0, -2.0) * change
     assert odds_of_rival(replace(problem, residual=problem.residual + either_way), none, change) > 1e-2

@@ -313,6 +313,37 @@ def test_what_leaves_more_than_any_unchanged_device_is_no_rival(model):
     assert gains["averaging"] > found.limits.rival_of_misfit * gains["sensor_lag"]
 
 
+def test_one_that_leaves_less_than_its_rivals_by_many_deviations_is_named_alone(model):
+    """Under fast random steps an average over six samples is no lag; what an unchanged device may show is no reason to say so."""
+    rng = np.random.default_rng(4)
+    volts = np.repeat(rng.uniform(0.0, 10.0, SIZE // 6), 6)
+    exact = np.convolve(np.pad(LAW(volts), (5, 0), mode="edge"), np.full(6, 1 / 6), mode="valid")
+    stroke = exact + np.ptp(exact) * 5e-4 * rng.standard_normal(SIZE)
+    found = study(
+        [Recording(0.1 * np.arange(SIZE), {HEATER_CURRENT: volts, TIP_DEFLECTION: stroke}, "stack")], model
+    )
+    answer = assemble_diagnosis(found)
+    assert [(e.id, e.siblings) for e in answer.effects] == [("averaging", [])]
+    assert answer.effects[0].probability > found.limits.credible
+    assert answer.indistinguishable == [] and answer.next_experiment is None
+
+
+def test_of_several_one_is_told_only_where_it_is_ahead_and_probable(lagging, monkeypatch):
+    several = lagging.decision.equivalent
+    assert len(several) > 1 and lagging.decision.rival_pairs
+
+    def says(*, ahead: bool, likely: float) -> tuple[str, ...]:
+        keys = lagging.decision.chosen.keys
+        monkeypatch.setattr(report, "_candidates", lambda study: ([], {keys[0]: likely}))
+        return report.equally_likely(replace(lagging, decision=replace(lagging.decision, ahead=ahead)))
+
+    assert says(ahead=True, likely=0.95) == ()
+    assert says(ahead=False, likely=0.95) == says(ahead=True, likely=0.85) == several
+    alone = decide.told_as(lagging.decision, ())
+    assert alone.equivalent == () and alone.rival_pairs == () and alone.proposal is None
+    assert decide.told_as(lagging.decision, several).rival_pairs == lagging.decision.rival_pairs
+
+
 def test_units_of_parameters_are_those_of_the_device():
     volts = described({**json.loads(DEVICE.document), "responses": {"moment": {"unit": "A m2"}}}, "stack")
     told = [

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device.coefficients import HUGE
+from vo2_models.diagnosis.courses import knots_of
 from vo2_models.diagnosis.hypotheses import MAGNITUDE_STEP, Hypothesis
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.numerics.parallel import parallel_map
 
-__all__ = ["Explanation", "Score", "either_way", "fit_jointly", "score", "switched"]
+__all__ = ["Explanation", "Score", "cost", "either_way", "fit_jointly", "score", "switched"]
 
 Floats = NDArray[np.float64]
 SHORTEST = 0.05
@@ -126,6 +128,22 @@ class Explanation:
             inside = inside - across @ np.linalg.pinv(self.covariance[np.ix_(other, other)]) @ across.T
         away = np.array([values[n] / hypothesis.scales[n] for _, n in (self.coordinates[p] for p in own)])
         return float(np.sqrt(max(away @ np.linalg.pinv(inside) @ away, 0.0)))
+
+
+def cost(explanation: Explanation, problem: LinearisedProblem, limits: Limits) -> float:
+    """Return chi-square, and for every parameter the logarithm of the number of effective samples, in their unit.
+
+    Schwarz's criterion for the likelihood that the probabilities are made of; a course counts its splines.
+
+    Parameters
+    ----------
+    explanation : fitted
+    problem : it was fitted to
+    limits : with the samples that make an effective one
+    """
+    splines = knots_of(problem) * len(problem.parts) * len(explanation.courses)
+    each = limits.temper * float(np.log(max(problem.count / limits.temper, 1.0)))
+    return explanation.chi_square + (len(explanation.coordinates) + splines) * each
 
 
 def _unit(hypothesis: Hypothesis, name: str, value: float) -> float:

@@ -14,7 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.diagnosis.courses import with_courses
-from vo2_models.diagnosis.explain import BRIEF, Explanation, Score, either_way, fit_jointly, score, switched
+from vo2_models.diagnosis.explain import (
+    BRIEF,
+    Explanation,
+    Score,
+    cost,
+    either_way,
+    fit_jointly,
+    score,
+    switched,
+)
 from vo2_models.diagnosis.hypotheses import Hypothesis, windowed
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nominal import Nominal
@@ -266,10 +275,15 @@ def _joined(
 def _simplest(
     found: Sequence[tuple[LinearisedProblem, Explanation]], limits: Limits
 ) -> tuple[LinearisedProblem, Explanation]:
-    """The pair with the fewest parameters of those that fit as well as the first, within what no pair explains."""
-    lowest = found[0][1].chi_square
-    close = lowest + limits.rival + limits.tie * max(lowest - found[0][0].count, 0.0)
-    near = [(about, joint) for about, joint in found if joint.chi_square <= close]
+    """The pair with the fewest parameters of those that fit as well as the first, within what no pair explains or they cost."""
+    about, first = found[0]
+    close = first.chi_square + limits.rival + limits.tie * max(first.chi_square - about.count, 0.0)
+    cheap = cost(first, about, limits)
+    near = [
+        (there, joint)
+        for there, joint in found
+        if joint.chi_square <= close or cost(joint, there, limits) <= cheap
+    ]
     return min(near, key=lambda item: (len(item[1].coordinates), item[1].chi_square))
 
 

@@ -13,7 +13,7 @@ from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.breakdown import locate
 from vo2_models.diagnosis.check import limits_in_words
 from vo2_models.diagnosis.evident import Evident, located_with
-from vo2_models.diagnosis.explain import Explanation
+from vo2_models.diagnosis.explain import Explanation, cost
 from vo2_models.diagnosis.families import family_of_unnamed
 from vo2_models.diagnosis.hypotheses import Hypothesis
 from vo2_models.diagnosis.problem import LinearisedProblem
@@ -26,7 +26,6 @@ from vo2_models.diagnosis.result import (
     MovedConstant,
     NamedEffect,
 )
-from vo2_models.diagnosis.search import cost
 from vo2_models.diagnosis.stages import Study
 from vo2_models.effects.record import CHOICE
 from vo2_models.recording import TIP_DEFLECTION
@@ -312,10 +311,10 @@ def _weights(study: Study, everyone: Sequence[Explanation], chi: Sequence[float]
     dearer = costs - np.array(chi)
     odds = [
         # a fit about itself may be far beyond what the simulation is linear over here: its chi-square is all that counts then
-        odds_of_rival(problem, change, other, dearer=more)
+        odds_of_rival(problem, change, other, dearer=more, worse=q - chi[0])
         if all(_holds(problem, *each) for each in ((same, change), (rival, other)))
         else 0.0
-        for rival, more in zip(everyone[1:], dearer[1:] - dearer[0], strict=True)
+        for rival, q, more in zip(everyone[1:], chi[1:], dearer[1:] - dearer[0], strict=True)
         for other in [_change(problem, rival)]
     ]
     return beside_the_first(weights, odds)
@@ -685,7 +684,12 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
 
 
 def odds_of_rival(
-    problem: LinearisedProblem, deviation: Floats, rival: Floats, *, dearer: float = 0.0
+    problem: LinearisedProblem,
+    deviation: Floats,
+    rival: Floats,
+    *,
+    dearer: float = 0.0,
+    worse: float | None = None,
 ) -> float:
     """Odds, 0 to 1, of one change of the simulation against another that fits better: their tempered likelihood ratio.
 
@@ -698,14 +702,15 @@ def odds_of_rival(
     ----------
     problem : that both were fitted in
     deviation, rival : (N,) whitened
-    dearer : what the rival's parameters cost more than the other's, in chi-square, see `search.cost`
+    dearer : what the rival's parameters cost more than the other's, in chi-square, see `explain.cost`
+    worse : chi-square that the rival leaves more than the other where each was fitted, if that was elsewhere
     """
     left, others = (
         problem.apply_inverse_covariance(problem.residual - change) for change in (deviation, rival)
     )
     apart = others - left
     chance = left * apart
-    ratio = float(np.sum(chance + 0.5 * apart**2)) + 0.5 * dearer
+    ratio = (float(np.sum(chance + 0.5 * apart**2)) if worse is None else 0.5 * worse) + 0.5 * dearer
     scatter = max(float(np.sum(problem.over_stretches(chance) ** 2)), float(apart @ apart), 1e-12)
     return float(np.exp(-2.0 * max(ratio, 0.0) ** 2 / scatter))
 
@@ -730,7 +735,7 @@ def probabilities(costs: Floats, *, temper: float) -> Floats:
 
     Parameters
     ----------
-    costs : (n,) chi-square of each and what its parameters cost, see `search.cost`
+    costs : (n,) chi-square of each and what its parameters cost, see `explain.cost`
     temper : divides the log likelihood ratios
     """
     weight = np.exp(-0.5 * (costs - np.min(costs)) / temper)

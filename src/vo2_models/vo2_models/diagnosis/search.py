@@ -10,9 +10,18 @@ import numpy as np
 from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.absorbed import without_absorbed
 from vo2_models.diagnosis.adequacy import over_misfit, where_told
-from vo2_models.diagnosis.courses import course_columns, gain_of_course, knots_of, with_courses
+from vo2_models.diagnosis.courses import course_columns, gain_of_course, with_courses
 from vo2_models.diagnosis.drift import drift_of
-from vo2_models.diagnosis.explain import BRIEF, Explanation, Score, either_way, fit_jointly, score, switched
+from vo2_models.diagnosis.explain import (
+    BRIEF,
+    Explanation,
+    Score,
+    cost,
+    either_way,
+    fit_jointly,
+    score,
+    switched,
+)
 from vo2_models.diagnosis.hypotheses import Hypothesis, hypotheses
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import Located
@@ -21,7 +30,7 @@ from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.numerics.parallel import parallel_map
 
-__all__ = ["Search", "cost", "search"]
+__all__ = ["Search", "search"]
 
 SHORTLIST = 6
 """Hypotheses that are refitted in full."""
@@ -105,22 +114,6 @@ def search(
     )  # fmt: skip
 
 
-def cost(explanation: Explanation, problem: LinearisedProblem, limits: Limits) -> float:
-    """Return chi-square, and for every parameter the logarithm of the number of effective samples, in their unit.
-
-    Schwarz's criterion for the likelihood that the probabilities are made of; a course counts its splines.
-
-    Parameters
-    ----------
-    explanation : fitted
-    problem : it was fitted to
-    limits : with the samples that make an effective one
-    """
-    splines = knots_of(problem) * len(problem.parts) * len(explanation.courses)
-    each = limits.temper * float(np.log(max(problem.count / limits.temper, 1.0)))
-    return explanation.chi_square + (len(explanation.coordinates) + splines) * each
-
-
 def _with_courses(
     problem: LinearisedProblem,
     candidates: Sequence[Hypothesis],
@@ -167,7 +160,9 @@ def _refitted(
 
     def briefly(s: Score) -> Explanation:
         start = switched(problem, s.hypothesis, s.start, problem.residual, tick=clock.tick)
-        return fit_jointly(problem, [s.hypothesis], [start], iterations=BRIEF, tick=clock.tick)
+        fit = fit_jointly(problem, [s.hypothesis], [start], iterations=BRIEF, tick=clock.tick)
+        # scores do not see what happens between samples, which is what the alternatives differ by
+        return either_way(problem, fit, tick=clock.tick) if s.hypothesis.choices else fit
 
     fits = parallel_map(briefly, promising)
     most = max((fit.gain for fit in fits), default=0.0)
