@@ -188,7 +188,9 @@ class Limits:
         "divides log likelihood ratios: effective samples are fewer than samples by the misfit's correlation",
     )
     temper_on_one_loop: float = _limit(
-        0.1, "the same on one loop only, as a share of what the best effect explains"
+        0.05,
+        "the same on one loop only, as a share of what the best effect explains: of 38 changes of devices without body, measured "
+        "ones among them, the best was right in 20 of 21 where it gained 3 % more than any other, and in 10 of 17 below",
     )
     separated: float = _limit(
         8.0,
