@@ -336,13 +336,14 @@ def _holds(problem: LinearisedProblem, explanation: Explanation, change: Floats)
 def _something_else(study: Study) -> float:
     """Return the probability that nothing of the catalogue is the answer.
 
-    Of a named answer a logistic function of how surely it acts and of what it leaves. Without a name it is one, less what
-    the best single effect explains.
+    A logistic function of how surely the best explanation acts and of what it leaves; at least one half where it is not named.
+    Where there is none it is one, less half of what the best single effect explains.
     """
     adequacy = study.decision.adequacy
-    if study.decision.chosen is None or adequacy is None:
+    if adequacy is None:
         return 1.0 - 0.5 * _best_share(study)
-    return adequacy.something_else(study.limits)
+    otherwise = adequacy.something_else(study.limits)
+    return otherwise if study.decision.chosen is not None else max(otherwise, 0.5)
 
 
 def _best_share(study: Study) -> float:
