@@ -40,7 +40,7 @@ FLAGS = (
 )
 """What the chain asks before it looks at single effects: whether any that is on has the hook, heats with the film's
 resistance, takes the anhysteretic curve, or has states to be moved on in the stage; and whether any of them acts on the
-heat of the body, between the body and what the transitions see, or on the phase and by it alone."""
+heat of the body, between the body and what the transitions see, or on the phase alone."""
 _HEATED = ("ambient", "heating", "pumping", "conductance", "loss", "lag", "latent", "advance:thermal")
 _SHIFTED = ("body", "film", "shift", "advance:transition")
 _OF_PHASE = ("shift", "structural_shift", "feedback", "follow", "beside", "latent", "conductance", "bending")

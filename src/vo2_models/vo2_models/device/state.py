@@ -38,9 +38,7 @@ class Slot(IntEnum):
     EQUILIBRIUM_D = auto()
     OUT_R = auto()  # with what happens beside switching
     OUT_D = auto()
-    REVERSIBLE_R = (
-        auto()
-    )  # what the laws have without hysteresis, where effects act on the phase alone; else 0
+    REVERSIBLE_R = auto()  # what the laws have without hysteresis, where effects act on the phase; else 0
     REVERSIBLE_D = auto()
     FRACTION_R = auto()  # 1, switched share
     FRACTION_D = auto()
