@@ -33,8 +33,8 @@ Floats = NDArray[np.float64]
 _FARTHEST = 40.0
 """Where tanh is 1 to the last bit: exp(-40) < 2^-54."""
 _NARROW = 0.15
-"""Width of a play's own loop, as a share of the mean, below which it is reversible: of fits to six devices of the
-own simulator the thinnest had at most 0.11 of it, and stood for what the tip does outside the transition, or at least 0.2."""
+"""Width of a play's own loop, as a share of the mean, below which it is reversible: each play fitted to six devices of
+the own simulator had at most 0.11 of it or at least 0.2."""
 
 
 @kernel(inline="always")
