@@ -1,11 +1,15 @@
-"""Processes killed in lockstep: somebody tells, simulated time stands, and goes on when the process is back."""
+"""Processes killed or stalled in lockstep: somebody tells, simulated time stands, and goes on when the process is back."""
 
 import random
 import signal
 
+import numpy as np
 import pytest
+from rosbags.rosbag2 import Reader
 from wall_loop import NODES, wall_loop
 
+_STALL_S = 4.0
+"""In this time the loop makes several times the samples that may be on their way."""
 _TOLD_S = 10.0
 """Wall time within which a loss must be told: two looks half a second apart, on a machine that does other work too."""
 
@@ -33,3 +37,32 @@ def test_the_loss_of_any_node_is_told_and_the_loop_goes_on_when_it_is_back(
             loop.until_closed(since + 200)
     with capfd.disabled():
         print(f"\nlockstep: {len(told)} of {len(NODES)} losses told, {len(told)} rejoined: {told}")
+
+
+def test_simulated_time_waits_for_a_recorder_that_stalls_and_nothing_is_lost(model_file, tmp_path):
+    with wall_loop(tmp_path, model_file, "lockstep") as loop:
+        loop.record(tmp_path / "bag")
+        hears = loop.processes["record"].log
+        topics = {f"/vo2/{role}" for role in ("measurement", "estimate", "command")}
+
+        def met():
+            lines = hears.read_text().splitlines() if hears.exists() else []
+            return {topic for line in lines if line.startswith("Hears ") for topic in line[6:].split(", ")}
+
+        loop.rig.until(lambda: topics <= met(), 60.0)
+        before = loop.samples
+        loop.stall("record", _STALL_S)
+        during = loop.samples - before
+        told = [text for who, text, _ in loop.rig.statuses if who == "vo2/plant: listeners"]
+        loop.rig.until(lambda: loop.samples > before + during + 3000)
+        loop.signal("record", signal.SIGINT)
+        assert loop.processes["record"].process.wait(60.0) == 0
+    assert any("does not keep up" in text for text in told), during
+    with Reader(tmp_path / "bag") as bag:
+        stamps = {topic: [] for topic in topics}
+        for connection, stamp, _ in bag.messages():
+            if connection.topic in stamps:
+                stamps[connection.topic].append(stamp)
+    for topic, each in stamps.items():
+        assert len(each) > during
+        np.testing.assert_array_equal(np.diff(each), 1_000_000, err_msg=topic)

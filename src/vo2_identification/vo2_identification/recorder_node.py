@@ -134,7 +134,6 @@ class Recorder(Node):
             self._look_for_more(self._wanted)
         if self.open_topics:
             self._look_around()
-        self._publisher_counts.clear()
 
     def _look_for_more(self, wanted: re.Pattern[str]) -> None:
         for topic, types in self.get_topic_names_and_types():
@@ -177,6 +176,8 @@ class Recorder(Node):
         bool : whether any of them was published before `before_ns`; where it was not, nothing due by then is missing.
         """
         waiting: list[tuple[int, str, bytes, int | None]] = []
+        # asked anew: the first message of a new publisher would be taken for a gap in another's numbers
+        self._publisher_counts.clear()
         for topic, subscription in self._subscriptions_by_topic.items():
             with subscription.handle:
                 for _ in range(READ_QOS.depth):

@@ -16,6 +16,7 @@ __all__ = [
     "ESTIMATE",
     "ESTIMATE_CHANNELS",
     "LATCHED_QOS",
+    "LOCKSTEP_QOS",
     "MEASUREMENT",
     "READ_QOS",
     "REFERENCE",
@@ -53,6 +54,13 @@ def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATI
 SAMPLE_QOS = _reliable(100)
 READ_QOS = _reliable(20_000)
 """For subscriptions: a node that is not part of a lockstep loop, or is busy for a moment, loses no sample."""
+LOCKSTEP_QOS = QoSProfile(
+    history=HistoryPolicy.KEEP_ALL,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""Of the plant in lockstep: a loop that runs faster than a recorder can take waits for it, as no time passes meanwhile.
+How many samples may be on their way the Fast DDS profile says."""
 LATCHED_QOS = _reliable(100, DurabilityPolicy.TRANSIENT_LOCAL)
 EMERGENCY_STOP_QOS = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """Of each publisher the last word only."""

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -35,6 +36,7 @@ from vo2_interface.topics import (
     COMMAND_CHANNELS,
     COMMANDER,
     DEFAULT_NAMESPACE,
+    LOCKSTEP_QOS,
     MEASUREMENT,
     SAMPLE_QOS,
 )
@@ -118,7 +120,8 @@ class PlantNode(Node):
         self._clock_writer = ClockWriter()
         self._reader = SampleReader(COMMAND_CHANNELS)
         self._answer = b""
-        self._publisher = self.create_publisher(JointState, MEASUREMENT, SAMPLE_QOS)
+        qos = LOCKSTEP_QOS if self._lockstep else SAMPLE_QOS
+        self._publisher = self.create_publisher(JointState, MEASUREMENT, qos)
         self._diagnostics.watch_listeners(self._publisher)
         self._clock_out = None
         if self._lockstep and self._table.flag("clock"):
@@ -263,8 +266,24 @@ class PlantNode(Node):
             self._diagnostics.beat(self._stamp_ns)
 
     def _publish(self) -> None:
-        self._publisher.publish(self._answer)
+        try:
+            self._publisher.publish(self._answer)
+        except rclpy_implementation.RCLError:
+            if not self._lockstep:
+                raise
+            # nobody has got it: `_on_quiet` tries again
+            self._diagnostics.report(
+                "listeners",
+                "warn",
+                f"a listener of {MEASUREMENT} does not keep up: simulated time waits for it, up to 20 s if it is gone",
+                stamp_ns=self._stamp_ns,
+            )
+            return
         self._published_at = time.monotonic()
+        if self._lockstep and self._diagnostics.level("listeners") != "ok":
+            self._diagnostics.report(
+                "listeners", "ok", "every listener keeps up again", stamp_ns=self._stamp_ns
+            )
         # after the sample that the loop waits for
         if self._clock_out is not None and self._index % self._clock_every == 0:
             self._clock_out.publish(self._clock_writer.write(self._stamp_ns))
