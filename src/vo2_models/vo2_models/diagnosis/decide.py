@@ -233,7 +233,9 @@ def _unnamed(
         unnamed, verdict_word = None, "agrees"
         if drift.significant(limits.drift_p) and not first_use and _shows(problem, verdict.judged):
             verdict_word = "drifted"
-            mimics = _mimics_of_constants(found.scores, limits, found.singles)
+            held = _with_constants_held(problem)
+            scores = score(held, found.candidates, problem.residual, tick=clock.tick)
+            mimics = _mimics_of_constants(scores, limits, found.singles)
             where = tuple(breakdown(problem, problem.nuisance.thermal @ drift.weights, floor=0.0))
             proposal = by_hand(mimics)
     return Decision(
