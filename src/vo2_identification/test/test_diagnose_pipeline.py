@@ -194,6 +194,24 @@ def test_of_two_effects_that_a_moved_constant_halves_one_is_named_and_the_other_
     assert "phase_dependent_expansion" in [h.record.id for h in seen.decision.mimics]
 
 
+@pytest.mark.slow
+def test_what_ramps_do_not_tell_from_moved_constants_is_told_beside_them() -> None:
+    """A light that heats all the time is a warmer room: the constants take it up, and leave another effect more to explain."""
+    nominal = preset("peltier")
+    low, high = sorted(nominal.operating_range)
+    corners = [0.0]
+    for k in range(9):
+        small = 0.3 * (k > 1)
+        corners += [1.0 - small * (k % 3), small * ((k + 1) % 3)]
+    shape = np.interp(np.linspace(0.0, len(corners) - 1.0, 4000), np.arange(len(corners)), corners)
+    device = truth("peltier", seed=20264001, effects={"laser_heating": {"rise": 1.05}})
+    recording = measured(device.simulate(low + (high - low) * shape, seed=6))
+    seen = study([recording], calibrated(20264001, "peltier"))
+    assert seen.decision.verdict == "drifted"
+    assert seen.decision.mimics[0].record.id == "laser_heating"
+    assert any("laser_heating" in limit for limit in assemble_diagnosis(seen).limits)
+
+
 def read_back(recording: Recording, command: np.ndarray, seed: int = 21) -> Recording:
     """With the command, and what a rig reads of the current: with an offset, a gain and noise."""
     current, rng = recording[HEATER_CURRENT], np.random.default_rng(seed)

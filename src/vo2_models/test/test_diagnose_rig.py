@@ -10,7 +10,7 @@ from scipy.signal import lfilter, lsim
 from vo2_models.device.description import described, preset
 from vo2_models.diagnosis import decide, hypotheses, report
 from vo2_models.diagnosis import search as third_stage
-from vo2_models.diagnosis.adequacy import adequacy_of, shown
+from vo2_models.diagnosis.adequacy import Adequacy, adequacy_of, shown
 from vo2_models.diagnosis.drift import drift_of
 from vo2_models.diagnosis.explain import either_way, fit_jointly
 from vo2_models.diagnosis.families import BY_DEPENDENCE, family_of_unnamed
@@ -113,6 +113,20 @@ def test_agreement_says_what_the_residual_is_measured_by(unchanged, excess, chan
         told = report._summary(replace(unchanged, located=located, decision=decision), [], [])
         assert f"the residual exceeds the noise by {100 * excess:.0f} % of its power, " in told
         assert told.endswith(f"{why}.")
+
+
+@pytest.mark.parametrize(("sigmas", "told"), [(31.0, True), (9.0, False)])
+def test_beside_agreement_an_effect_that_surely_acts_is_mentioned(unchanged, sigmas, told):
+    adequacy = Adequacy(("source_compression",), 0.08, 1.7, sigmas)
+    for verdict in ("agrees", "drifted"):
+        decision = replace(
+            unchanged.decision, verdict=verdict, chosen=None, unlike_noise=True, adequacy=adequacy
+        )
+        answer = report.assemble_diagnosis(replace(unchanged, decision=decision))
+        said = "source_compression would explain 8 % of the excess, by 31 standard deviations"
+        assert any(said in limit for limit in answer.limits) == told
+        assert answer.effects == []
+        assert ("no effect of the catalogue" in answer.summary) != told
 
 
 @pytest.mark.slow

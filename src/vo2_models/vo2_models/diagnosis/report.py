@@ -80,7 +80,12 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
         indistinguishable=pairs,
         next_experiment=decision.proposal,
         summary=_shown_in_words(study, shown) + _summary(study, effects, pairs),
-        limits=[*limits_in_words(study.reading.findings), *_by_recording(study), *_mimics(study)],
+        limits=[
+            *limits_in_words(study.reading.findings),
+            *_by_recording(study),
+            *_mimics(study),
+            *_sure(study),
+        ],
         not_excited=list(study.search.not_excited) if verdict != "agrees" or study.reading.first_use else [],
         excess=_excess(study),
         seconds=study.seconds,
@@ -143,6 +148,18 @@ def _mimics(study: Study) -> list[str]:
     """Effects that would look much like the constants that have moved."""
     names = " or ".join(h.record.id for h in study.decision.mimics)
     return [f"constants have moved; {names} acting all the time would look much the same"] if names else []
+
+
+def _sure(study: Study) -> list[str]:
+    """Beside agreement or moved constants: effects that surely act and leave more than a name may."""
+    found = study.decision.adequacy
+    if study.decision.verdict == "differs" or found is None or not study.limits.sure < found.sigmas < np.inf:
+        return []
+    names = " with ".join(key.partition(":")[0] for key in found.keys)
+    return [
+        f"{names} would explain {100 * found.share:.0f} % of the excess, by {found.sigmas:.0f} standard deviations, but leaves "
+        "more than a name may: the fitted loops' own misfit, or something else; a calibration with loops like these would tell"
+    ]
 
 
 def _excess(study: Study) -> dict[str, float]:
@@ -614,6 +631,8 @@ def _in_own_words(study: Study, text: str) -> str:
 def _why_enough(study: Study) -> str:
     """Say why an excess is no sign of physics."""
     if study.decision.unlike_noise:
+        if _sure(study):
+            return "and what predicts some of it leaves most: the fitted loops' own misfit"
         return (
             "and no effect of the catalogue nor any function of time, temperature, rate, current or memory predicts it on blocks "
             "that it was not fitted on: it is the fitted loops' own misfit"
