@@ -59,7 +59,7 @@ def test_simulated_time_waits_for_a_recorder_that_stalls_and_nothing_is_lost(mod
         assert loop.processes["record"].process.wait(60.0) == 0
     assert any("does not keep up" in text for text in told), during
     with Reader(tmp_path / "bag") as bag:
-        stamps = {topic: [] for topic in topics}
+        stamps: dict[str, list[int]] = {topic: [] for topic in topics}
         for connection, stamp, _ in bag.messages():
             if connection.topic in stamps:
                 stamps[connection.topic].append(stamp)
