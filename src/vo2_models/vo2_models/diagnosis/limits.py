@@ -56,7 +56,7 @@ class Limits:
     sure: float = _limit(
         10.0,
         "standard deviations by which an effect acts from which it is mentioned beside agreement or moved constants although it "
-        "leaves too much for a name: of 45 explanations of recordings with a body all 4 such ones were right",
+        "leaves too much for a name: of 45 explanations of two looked-at draws, devices with a body, all 4 such ones were right",
     )
     switching: float = _limit(
         0.5,

@@ -139,7 +139,8 @@ def diagnosed(seed: int, context: Context) -> tuple[dict[str, Diagnosis], float]
 
 def _width(law: Law) -> float:
     """Mean width of the plays' loops, by their weights [K]."""
-    assert isinstance(law, PlayBank)
+    if not isinstance(law, PlayBank):
+        raise TypeError(f"loop: found {type(law).__name__}, need plays")
     widths = (law.falling_offsets - law.rising_offsets + 2 * law.radii) / law.rising_slopes
     return float(np.average(widths, weights=np.abs(law.weights)))
 
