@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vo2_models.io import InputError, check_place, check_regular
-from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, Recording
+from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
 
 if TYPE_CHECKING:
     from vo2_models.identification.device_fit import FitResult
@@ -140,6 +140,7 @@ def _check_place(output: Path) -> None:
 
 
 def _summary(result: FitResult) -> list[str]:
+    from vo2_models.hysteresis import PlayBank
     from vo2_models.identification.calibration_check import noise_level
 
     lines, device = [], result.model.description
@@ -161,6 +162,10 @@ def _summary(result: FitResult) -> list[str]:
         std = result.model.uncertainty.get(name)
         if std:
             lines.append(f"{name}: {result.model.scalars[name]:.5g} +- {std[0]:.2g} {unit}")
+    if device.has_body:
+        for role, law in ((RESISTANCE, result.model.resistance), (TIP_DEFLECTION, result.model.deflection)):
+            if isinstance(law, PlayBank) and law.present:
+                lines.append(f"loop of {device.names.get(role, role)}: {law.loop_width:.3g} K wide")
     return lines + [f"note: {note}" for note in result.notes]
 
 

@@ -44,6 +44,14 @@ def test_prediction_of_an_unseen_sequence(fitted):
         assert np.abs(model[STAGE_TEMPERATURE] - measured[STAGE_TEMPERATURE]).max() < 0.05
 
 
+@pytest.mark.parametrize("difference", [-0.8, 0.5])
+def test_the_loops_of_a_model_are_as_wide_as_those_of_its_device(difference):
+    effects = {"loop_width_difference": {"difference": difference}}
+    device = truth("peltier", seed=6, effects=effects)
+    model = fit_device([device.simulate(_calibration("peltier"), seed=1)], "peltier").model
+    assert model.deflection.loop_width - model.resistance.loop_width == pytest.approx(difference, abs=0.05)
+
+
 def test_noise_and_time_constant(fitted):
     name, device, result = fitted
     for channel, level in preset(name).noise.items():

@@ -216,11 +216,22 @@ class PlayBank(Law):
         polynomial does not describe it a play does, nearly without a loop. On a heated body it follows the temperature and not
         the phase.
         """
+        widths, share = self._widths, np.abs(self.weights)
+        return np.flatnonzero(widths * np.sum(share) < _NARROW * np.dot(share, widths))
+
+    @property
+    def loop_width(self) -> float:
+        """Width of the loops, by the weights of the plays that have one, in the input's unit; 0 without any."""
+        share = np.delete(np.abs(self.weights), self.reversible)
+        return float(np.dot(share, np.delete(self._widths, self.reversible)) / max(np.sum(share), 1e-300))
+
+    @cached_property
+    def _widths(self) -> Floats:
+        """Width (N,) of each play's own loop, where its output passes zero, in the input's unit."""
         radii = np.minimum(np.asarray(self.radii), 1.0 - 1e-12)
         up = (np.arctanh(radii) - np.asarray(self.rising_offsets)) / np.asarray(self.rising_slopes)
         down = (-np.arctanh(radii) - np.asarray(self.falling_offsets)) / np.asarray(self.falling_slopes)
-        widths, share = np.maximum(up - down, 0.0), np.abs(self.weights)
-        return np.flatnonzero(widths * np.sum(share) < _NARROW * np.dot(share, widths))
+        return np.asarray(np.maximum(up - down, 0.0))
 
     @property
     def memory_size(self) -> int:

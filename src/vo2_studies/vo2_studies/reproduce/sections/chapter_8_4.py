@@ -10,7 +10,7 @@ import numpy as np
 from vo2_control.closed_loop import LoopResult
 from vo2_control.hinf import PUBLISHED_CONTROLLER
 from vo2_models.diagnosis import Diagnosis, diagnose
-from vo2_models.hysteresis import Law, PlayBank
+from vo2_models.hysteresis import PlayBank
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.recording import Recording
 
@@ -133,16 +133,13 @@ def diagnosed(seed: int, context: Context) -> tuple[dict[str, Diagnosis], float]
         calibration = record(calibrated, first, 1)
         result, parameters = fit_model([calibration], DEVICE, self_sensing=False)
         found[name] = diagnose([test], parameters, calibration=[calibration] if name == "all along" else [])
-        difference = _width(result.model.deflection) - _width(result.model.resistance)
+        widths = [
+            law.loop_width
+            for law in (result.model.deflection, result.model.resistance)
+            if isinstance(law, PlayBank)
+        ]
+        difference = widths[0] - widths[1]
     return found, difference
-
-
-def _width(law: Law) -> float:
-    """Mean width of the plays' loops, by their weights [K]."""
-    if not isinstance(law, PlayBank):
-        raise TypeError(f"loop: found {type(law).__name__}, need plays")
-    widths = (law.falling_offsets - law.rising_offsets + 2 * law.radii) / law.rising_slopes
-    return float(np.average(widths, weights=np.abs(law.weights)))
 
 
 def run(context: Context) -> Section:
