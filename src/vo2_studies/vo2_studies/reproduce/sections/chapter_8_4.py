@@ -311,14 +311,16 @@ def _claims(
         Claim("8.4.2.turned", "8.4.2", "Draws of which the difference turns the comparison round", None,
               float(np.sum((without.ratios["multi"] > 1) & (with_it.ratios["multi"] < 1))), "1", at_least(DRAWS), basis),
     ]  # fmt: skip
-    named = diagnoses["change"].effects
-    first = named[0].id if named else "nothing"
-    claims += [
-        Claim("8.4.diagnosis.change", "8.4", "`diagnose` names the difference first: change", None, float(first == EFFECT), "1",
-              at_least(1.0), f"named first: {first}; first proof draw, {DIFFERENCE_K:g} K"),
-        Claim("8.4.diagnosis.all_along", "8.4", "Difference of the loop widths in the model of the device as it is", None,
-              narrower, "K", within(DIFFERENCE_K, 0.1), f"`fit` of one calibration; first proof draw, {DIFFERENCE_K:g} K"),
-    ]  # fmt: skip
+    for name, found in diagnoses.items():
+        first = found.effects[0].id if found.effects else "nothing"
+        claims.append(
+            Claim(f"8.4.diagnosis.{name.replace(' ', '_')}", "8.4", f"`diagnose` names the difference first: {name}", None,
+                  float(first == EFFECT), "1", at_least(1.0), f"named first: {first}; first proof draw, {DIFFERENCE_K:g} K")
+        )  # fmt: skip
+    claims.append(
+        Claim("8.4.fit.width_difference", "8.4", "Difference of the loop widths in the model of the device as it is", None,
+              narrower, "K", within(DIFFERENCE_K, 0.1), f"`fit` of one calibration; first proof draw, {DIFFERENCE_K:g} K")
+    )  # fmt: skip
     return claims
 
 
