@@ -105,8 +105,9 @@ def test_a_killed_recorder_leaves_a_bag_up_to_the_last_second(graph, tmp_path, s
     recording, _ = read_recording(tmp_path / "bag")
     assert len(recording) >= 500 - 400  # 400 a second
     np.testing.assert_array_equal(recording["film_resistance"], 1e5 - np.arange(len(recording)))
-    if storage == "mcap":  # no rescue needed: any reader takes it
-        assert counted(tmp_path / "bag") == {"/vo2/measurement": len(recording)}
+    if storage == "mcap":
+        # any reader takes it without a rescue; ours also finds what a flush had begun to write when the kill came
+        assert 500 - 400 <= counted(tmp_path / "bag")["/vo2/measurement"] <= len(recording)
 
 
 @pytest.mark.parametrize(
