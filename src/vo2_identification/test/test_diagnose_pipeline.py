@@ -14,6 +14,7 @@ from vo2_identification.bags import write_bag
 from vo2_identification.diagnose import main
 from vo2_models.device import DeviceModel, preset, truth
 from vo2_models.diagnosis import diagnose, study, validate
+from vo2_models.diagnosis.corrected_model import corrected_parameters
 from vo2_models.diagnosis.decide import _worsens
 from vo2_models.diagnosis.drift import drift_of
 from vo2_models.diagnosis.files import write_results
@@ -210,6 +211,30 @@ def test_what_ramps_do_not_tell_from_moved_constants_is_told_beside_them() -> No
     assert seen.decision.verdict == "drifted"
     assert seen.decision.mimics[0].record.id == "laser_heating"
     assert any("laser_heating" in limit for limit in assemble_diagnosis(seen).limits)
+
+
+def test_one_effect_is_named_where_several_constants_would_have_to_move_in_its_place(parameters) -> None:
+    """A heater whose resistance rises with its heat is a stronger and slower heat path, nearly: two constants, or one effect."""
+    seen = study([concealed({"heater_tcr": {"alpha": 1e-4}})], parameters)
+    assert not any(option.chosen.gain > 0.0 for option in seen.search.options)
+    held = seen.decision.held
+    assert held is not None and np.count_nonzero(held.drift.sigmas > Limits().constant_moved) > 1
+    answer = assemble_diagnosis(seen)
+    assert [effect.id for effect in answer.effects] == ["heater_tcr"] and answer.moved == []
+    assert answer.effects[0].parameters["alpha"].value == pytest.approx(1e-4, rel=0.2)
+    assert any("constants may have moved" in limit for limit in answer.limits)
+    corrected = corrected_parameters(seen)
+    was = parameters["model.thermal.square_gain"]
+    assert corrected["model.thermal.square_gain"] == pytest.approx(was, rel=1e-3)
+
+
+def test_constants_that_moved_by_themselves_have_no_effect_in_their_place(parameters) -> None:
+    moved = dict(parameters)
+    for name, by in (("square_gain", 1.015), ("time_constant", 0.98), ("ambient", 1.02)):
+        moved[f"model.thermal.{name}"] *= by
+    seen = study([concealed()], moved)
+    assert seen.decision.verdict == "drifted" and seen.search.held is None
+    assert len(assemble_diagnosis(seen).moved) >= 2
 
 
 def read_back(recording: Recording, command: np.ndarray, seed: int = 21) -> Recording:

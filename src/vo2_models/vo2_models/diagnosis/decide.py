@@ -28,7 +28,7 @@ from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.read import Reading
 from vo2_models.diagnosis.result import NextExperiment
-from vo2_models.diagnosis.search import Search
+from vo2_models.diagnosis.search import Held, Search
 
 __all__ = ["Decision", "decide", "told_as", "without_a_name"]
 
@@ -60,6 +60,7 @@ class Decision:
         where a single effect is named. On a device without body those that explain as much as `chosen` does; elsewhere those
         that are together as likely as a name has to be, see `report.equally_likely`
     ahead : whether all others of `equivalent` leave more than `chosen` by many standard deviations
+    held : where what is named stands in the place of moved constants
     """
 
     verdict: Literal["agrees", "drifted", "differs"]
@@ -78,13 +79,15 @@ class Decision:
     unlike_noise: bool = False
     equivalent: tuple[str, ...] = ()
     ahead: bool = False
+    held: Held | None = None
 
 
 @dataclass(frozen=True)
 class _Verdict:
     """The first option that is admissible, or the nuisance model alone.
 
-    `shown` is the largest share of the excess that an option explains, admissible or not; `equivalent`, `ahead` as in `Decision`.
+    `shown` is the largest share of the excess that an option explains, admissible or not; `equivalent`, `ahead`, `held` as in
+    `Decision`.
     """
 
     option: Option | None
@@ -95,6 +98,7 @@ class _Verdict:
     shown: float
     equivalent: tuple[str, ...] = ()
     ahead: bool = False
+    held: Held | None = None
 
 
 def decide(located: Located, found: Search, reading: Reading, limits: Limits, clock: Clock) -> Decision:
@@ -156,9 +160,16 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
             admissible = admissible and len(option.chosen.keys) == 1
             equivalent, ahead = _as_adequate(located, option, found.singles, limits, clock)
         rivals, remaining = option.rivals, option.remaining
-        hidden = admissible and found.hidden
+        # with a body an effect in the place of constants is judged by itself, below
+        hidden = found.hidden and bool(located.own_misfit)
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
             return _Verdict(option, judged, rivals, remaining, adequacy, shown, equivalent, ahead)
+    if found.held is not None:
+        option, reference = found.held.option, found.held.reference
+        judged = held_out(option.final, option.chosen, reference=reference, folds=folds, tick=clock.tick)
+        adequacy = adequacy_of(option, limits)
+        if _is_admissible(option, judged, adequacy, limits) and judged.share > limits.share:
+            return _Verdict(option, judged, option.rivals, option.remaining, adequacy, shown, held=found.held)
     likeliest = min(judgements, key=lambda one: one.something_else(limits), default=None)
     return _Verdict(None, held_out(problem, None, folds=folds), rivals, remaining, likeliest, shown)
 
@@ -200,6 +211,7 @@ def _named(
         remaining_excess=verdict.remaining, unnamed=None,
         breakdown=tuple(breakdown(final, trace(final), floor=0.0)), rival_pairs=tuple(pairs), proposal=proposal,
         drift=drift, mimics=mimics, adequacy=verdict.adequacy, equivalent=verdict.equivalent, ahead=verdict.ahead,
+        held=verdict.held,
     )  # fmt: skip
 
 
@@ -314,21 +326,13 @@ def _stands_for_constants(option: Option, singles: Sequence[Explanation], limits
 
     On held-out blocks such an effect gains nothing, as the constants are moved there too. What tells is how far they
     would have to move from the calibration: a dead time that has doubled is named, a gain that many effects mimic is not.
-    Those that act on the same sensor count as one here, on a device with a body all that reach the same channel alone: which of
-    them it is, their probabilities tell.
+    Those that act on the same sensor count as one here: which of them it is, their probabilities tell.
     """
     chosen = option.chosen
     own = chosen.hypotheses[0]
-    nominal = option.final.nominal
 
     def one_with_it(other: Hypothesis) -> bool:
-        ours, theirs = (each.record.reaches(nominal.device, each.signal) for each in (own, other))
-        same_sensor = bool(own.signal) and other.signal == own.signal
-        return (
-            own.record.id == other.record.id
-            or same_sensor
-            or (nominal.model.description.has_body and len(ours) == 1 and theirs == ours)
-        )
+        return own.record.id == other.record.id or (bool(own.signal) and other.signal == own.signal)
 
     others = [e.gain for e in singles if not one_with_it(e.hypotheses[0])]
     return len(chosen.keys) == 1 and chosen.gain - max(others, default=0.0) > limits.apart

@@ -15,7 +15,7 @@ from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.numerics.parallel import parallel_map
 
-__all__ = ["Explanation", "Score", "cost", "either_way", "fit_jointly", "score", "switched"]
+__all__ = ["Explanation", "Score", "cost", "either_way", "fit_jointly", "price", "score", "switched"]
 
 Floats = NDArray[np.float64]
 SHORTEST = 0.05
@@ -142,8 +142,18 @@ def cost(explanation: Explanation, problem: LinearisedProblem, limits: Limits) -
     limits : with the samples that make an effective one
     """
     splines = knots_of(problem) * len(problem.parts) * len(explanation.courses)
-    each = limits.temper * float(np.log(max(problem.count / limits.temper, 1.0)))
-    return explanation.chi_square + (len(explanation.coordinates) + splines) * each
+    return explanation.chi_square + (len(explanation.coordinates) + splines) * price(problem, limits)
+
+
+def price(problem: LinearisedProblem, limits: Limits) -> float:
+    """Return what one parameter costs, in chi-square, see `cost`.
+
+    Parameters
+    ----------
+    problem : fitted to
+    limits : with the samples that make an effective one
+    """
+    return limits.temper * float(np.log(max(problem.count / limits.temper, 1.0)))
 
 
 def _unit(hypothesis: Hypothesis, name: str, value: float) -> float:

@@ -23,8 +23,12 @@ from vo2_models.recording import HEATER_CURRENT
 __all__ = ["Located", "locate"]
 
 Floats = NDArray[np.float64]
-SETTLED = 0.02
+SETTLED = 0.002
 """Relative drop of chi-square with which moving the constants further ends."""
+FLAT = 10.0
+"""Change of chi-square that is none."""
+SLOW, FURTHER = 3, 0.25
+"""Steps from which the way as a whole is gone further, and by which share of it."""
 
 
 @dataclass(frozen=True)
@@ -108,27 +112,55 @@ def _left_out(problem: LinearisedProblem) -> float:
 def _relinearise_constants(
     nominal: Nominal, problem: LinearisedProblem, clock: Clock, *, rounds: int = 16
 ) -> LinearisedProblem:
-    """Move to where the nuisance model's own refit puts the thermal parameters, until they stay: it is not linear in them."""
-    for _ in range(rounds):
-        shift = problem.fit_nuisance(problem.residual)[-problem.origin.size :]
-        if problem.curved(shift - problem.origin) < 0.7:
-            break
-        moved = linearise_problem(
+    """Move to where the nuisance model's own refit puts the thermal parameters, until they stay: it is not linear in them.
+
+    Loops that are open along a wrong path of temperature take up a part of a move, so that plain steps come near slowly: each is
+    extrapolated from the one before (Anderson's acceleration of depth one), and after many small ones the whole way is gone
+    further as long as chi-square falls.
+    """
+    start = problem
+
+    def about(shift: Floats) -> LinearisedProblem:
+        # columns of the start: those of a step before would be kept while the path is still near it
+        return linearise_problem(
             nominal,
-            problem.parts,
-            constants=problem.constants,
+            start.parts,
+            constants=start.constants,
             shift=shift,
-            shapes=problem.shapes,
-            loops=problem.loops,
-            refits=problem.refits,
+            shapes=start.shapes,
+            loops=start.loops,
+            refits=start.refits,
             say=clock.say,
         )
-        drop = problem.residual_chi_square - moved.residual_chi_square
-        if drop <= 10.0:
+
+    targets: list[Floats] = []
+    before: Floats | None = None
+    for _ in range(rounds):
+        target = problem.fit_nuisance(problem.residual)[-problem.origin.size :]
+        step = target - problem.origin
+        if problem.curved(step) < 0.7:
             break
-        problem = moved
+        trials = [target, problem.origin + 0.5 * step]
+        if before is not None:
+            change = problem.in_straights(step - before)
+            along = float(change @ problem.in_straights(step)) / max(float(change @ change), 1e-300)
+            trials.insert(0, target - along * (target - targets[-1]))
+        for trial in trials:
+            moved = about(trial)
+            drop = problem.residual_chi_square - moved.residual_chi_square
+            if drop > -FLAT:
+                break
+        if drop <= FLAT:
+            break
+        targets.append(target)
+        before, problem = step, moved
         if drop < SETTLED * moved.residual_chi_square:
             break
+    while len(targets) >= SLOW:
+        moved = about(problem.origin + FURTHER * (problem.origin - targets[0]))
+        if problem.residual_chi_square - moved.residual_chi_square <= FLAT:
+            break
+        problem = moved
     return problem
 
 

@@ -152,8 +152,11 @@ class LinearisedProblem:
 
     def curved(self, move: Floats) -> float:
         """Largest part of a move (t,) of the constants, in units of what the simulation is linear over."""
-        straight = np.array([c.straight for c in self.constants])
-        return float(np.max(np.abs(move) / straight, initial=0.0))
+        return float(np.max(np.abs(self.in_straights(move)), initial=0.0))
+
+    def in_straights(self, move: Floats) -> Floats:
+        """A move (t,) of the constants, each in units of what the simulation is linear over."""
+        return move / np.array([c.straight for c in self.constants])
 
     def loop_weights(self, weights: Floats) -> dict[str, Floats]:
         """Those of the nuisance model's weights (k,) that are of loop columns, by channel."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.breakdown import locate
 from vo2_models.diagnosis.check import limits_in_words
+from vo2_models.diagnosis.drift import Drift
 from vo2_models.diagnosis.evident import Evident, located_with
 from vo2_models.diagnosis.explain import Explanation, cost
 from vo2_models.diagnosis.families import family_of_unnamed
@@ -84,6 +85,7 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
             *limits_in_words(study.reading.findings),
             *_by_recording(study),
             *_mimics(study),
+            *_in_place_of_constants(study),
             *_sure(study),
         ],
         not_excited=list(study.search.not_excited) if verdict != "agrees" or study.reading.first_use else [],
@@ -120,6 +122,10 @@ def _moved(study: Study) -> list[MovedConstant]:
     drift = study.decision.drift
     if study.decision.verdict == "agrees" or not drift.significant(study.limits.drift_p):
         return []
+    return _told_moves(study, drift)
+
+
+def _told_moves(study: Study, drift: Drift) -> list[MovedConstant]:
     order = np.argsort(-drift.sigmas)
     chosen = [k for k in order if drift.sigmas[k] > study.limits.constant_moved] or order[:1].tolist()
     return [
@@ -148,6 +154,18 @@ def _mimics(study: Study) -> list[str]:
     """Effects that would look much like the constants that have moved."""
     names = " or ".join(h.record.id for h in study.decision.mimics)
     return [f"constants have moved; {names} acting all the time would look much the same"] if names else []
+
+
+def _in_place_of_constants(study: Study) -> list[str]:
+    """Beside a name that stands in the place of moved constants: which these are."""
+    held = study.decision.held
+    if held is None:
+        return []
+    moves = _moved_in_words(_told_moves(study, held.drift))
+    return [
+        f"constants may have moved in place of the answer ({moves}): it is ahead of them by {held.ahead:.0f} of chi-square, with "
+        "what each constant and parameter costs"
+    ]
 
 
 def _sure(study: Study) -> list[str]:
@@ -311,7 +329,7 @@ def _weights(study: Study, everyone: Sequence[Explanation], chi: Sequence[float]
     One effect in the place of another: by how surely the blocks of the recordings prefer it, see `odds_of_rival`. Of pairs,
     and where nothing is named: by chi-square, tempered.
     """
-    problem, chosen = study.located.problem, study.decision.chosen
+    problem, chosen = _judged_against(study), study.decision.chosen
     temper = study.limits.temper * (1.0 + max(study.decision.remaining_excess, 0.0))
     if study.reading.one_loop and chosen is not None:
         temper = max(temper, study.limits.temper_on_one_loop * chosen.gain)
@@ -337,6 +355,12 @@ def _weights(study: Study, everyone: Sequence[Explanation], chi: Sequence[float]
     return beside_the_first(weights, odds)
 
 
+def _judged_against(study: Study) -> LinearisedProblem:
+    """The problem without effects that the answer is told against: constants held where it stands in their place."""
+    held = study.decision.held
+    return study.located.problem if held is None else held.reference
+
+
 def _change(problem: LinearisedProblem, explanation: Explanation) -> Floats:
     """Return the whitened change (N,) from the simulation without effects: some were fitted about themselves."""
     if explanation.courses:
@@ -360,6 +384,10 @@ def _something_else(study: Study) -> float:
     if adequacy is None:
         return 1.0 - 0.5 * _best_share(study)
     otherwise = adequacy.something_else(study.limits)
+    held = study.decision.held
+    if held is not None:  # or constants have moved after all
+        temper = study.limits.temper * (1.0 + max(study.decision.remaining_excess, 0.0))
+        otherwise = 1.0 - (1.0 - otherwise) / (1.0 + float(np.exp(-0.5 * held.ahead / temper)))
     return otherwise if study.decision.chosen is not None else max(otherwise, 0.5)
 
 
@@ -668,6 +696,8 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     own = study.located.problem.nominal.model.description.names
     family = _in_own_words(study, effects[0].family)
     head = f"Simulation and recording differ, most in {own.get(where, where)} ({1 + excess[where]:.3g} times the noise power)."
+    if decision.held is not None:
+        head = "Simulation and recording differ: an effect explains with none moved what constants would have to move for."
     lead = (
         "The calibration had taken up a part of it"
         if study.reading.first_use
@@ -691,7 +721,9 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
             f"{head} Nothing known explains it; it acts in the family {family}. A correction without a name "
             f"removes {100 * share:.0f} % of the excess.{tail}"
         )
-    share = 1.0 - max(decision.remaining_excess, 0.0) / max(study.located.total_excess, 1e-9)
+    whole = _judged_against(study)
+    before = max(whole.residual_chi_square / whole.count - 1.0, 1e-9)
+    share = 1.0 - max(decision.remaining_excess, 0.0) / before
     text = f"{head} Left out: {' and '.join(names)}, which explains {100 * share:.0f} % of the excess."
     if decision.adequacy and decision.adequacy.told < 1.0:
         text += (

@@ -11,7 +11,7 @@ from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.absorbed import without_absorbed
 from vo2_models.diagnosis.adequacy import over_misfit, where_told
 from vo2_models.diagnosis.courses import course_columns, gain_of_course, with_courses
-from vo2_models.diagnosis.drift import drift_of
+from vo2_models.diagnosis.drift import Drift, drift_of
 from vo2_models.diagnosis.explain import (
     BRIEF,
     Explanation,
@@ -19,6 +19,7 @@ from vo2_models.diagnosis.explain import (
     cost,
     either_way,
     fit_jointly,
+    price,
     score,
     switched,
 )
@@ -30,7 +31,7 @@ from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.numerics.parallel import parallel_map
 
-__all__ = ["Search", "search"]
+__all__ = ["Held", "Search", "search"]
 
 SHORTLIST = 6
 """Hypotheses that are refitted in full."""
@@ -38,6 +39,24 @@ TRIMMED = 2
 """Refits to the samples that an effect explains best."""
 RELINEARISED = 3
 """Explanations that are linearised about themselves, where constants may stand for them or another effect is as good."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """An effect in the place of constants that have moved: with it every constant is where the calibration left it.
+
+    Attributes
+    ----------
+    option : the effect, its rivals those with constants held as well
+    reference : the problem without effects, constants held; gains are told against it
+    drift : how far which constants would have moved in its place
+    ahead : by how much it is ahead of them, in chi-square, each constant and each parameter at the price of `explain.cost`
+    """
+
+    option: Option
+    reference: LinearisedProblem
+    drift: Drift
+    ahead: float
 
 
 @dataclass(frozen=True)
@@ -52,6 +71,7 @@ class Search:
     options : what may be the answer, best first: two effects, one effect
     hidden : whether the nuisance model moved so far that it may hide an effect
     not_excited : ids of effects that these recordings would not show
+    held : an effect in the place of moved constants, None where these are as good
     """
 
     candidates: tuple[Hypothesis, ...]
@@ -60,6 +80,7 @@ class Search:
     options: tuple[Option, ...]
     hidden: bool
     not_excited: tuple[str, ...]
+    held: Held | None = None
 
 
 def search(
@@ -68,7 +89,8 @@ def search(
     """Score all hypotheses, refit the promising ones, and look for a second effect beside the best.
 
     Where the constants had to move far to absorb a mismatch, they may have absorbed an effect: hypotheses are then tried
-    with constants as the calibration left them as well, and the better of both counts.
+    with constants as the calibration left them as well, and the better of both counts. One that explains by itself what
+    several constants together do not explain better is an option in their place.
 
     Parameters
     ----------
@@ -99,8 +121,10 @@ def search(
         return Search(tuple(candidates), tuple(scores), (), (), hidden, tuple(_not_excited(scores, limits)))
     clock.say("refitting the most promising")
     fits = _refitted(problem, scores, limits, shortlist, clock)
+    fixed, unmoved = problem, list[Explanation]()
     if hidden and not first_use:
-        fits += _with_fixed_constants(located, candidates, limits, shortlist, clock)
+        fixed, unmoved = _with_fixed_constants(located, candidates, fits, limits, shortlist, clock)
+        fits += unmoved
     fits += _with_courses(problem, candidates, fits, limits, clock)
     before = problem.residual_chi_square
     best: dict[str, Explanation] = {}
@@ -110,7 +134,7 @@ def search(
     options = _options(located, singles, candidates, limits, clock)
     return Search(
         tuple(candidates), tuple(scores), tuple(singles), tuple(options), hidden,
-        tuple(_not_excited(scores, limits)),
+        tuple(_not_excited(scores, limits)), _in_place_of_constants(located, fixed, unmoved, limits, clock),
     )  # fmt: skip
 
 
@@ -179,14 +203,16 @@ def _refitted(
 def _with_fixed_constants(
     located: Located,
     candidates: Sequence[Hypothesis],
+    moved: Sequence[Explanation],
     limits: Limits,
     shortlist: int,
     clock: Clock,
-) -> list[Explanation]:
-    """Refits with constants as the calibration left them: what is an effect then is no drift that resembles it.
+) -> tuple[LinearisedProblem, list[Explanation]]:
+    """The problem with constants as the calibration left them, and refits: what is an effect then is no drift that resembles it.
 
-    Constants that follow an effect are far from where they were, and the simulation is not linear that far: the best fits
-    are linearised about themselves once more.
+    Constants that follow an effect are far from where they were, and the simulation is not linear that far: scores do not see a
+    small effect there, so that what was fitted with `moved` constants begins anew from its values, and the best fits are
+    linearised about themselves once more.
     """
     problem = located.problem
     fixed = linearise_problem(
@@ -198,12 +224,53 @@ def _with_fixed_constants(
         say=clock.say,
     )
     scores = score(fixed, candidates, fixed.residual, tick=clock.tick)
-    fits = sorted(_refitted(fixed, scores, limits, shortlist, clock), key=lambda e: e.chi_square)
+    known = _refitted(fixed, scores, limits, shortlist, clock)
+    known += parallel_map(
+        lambda fit: fit_jointly(fixed, fit.hypotheses, fit.values, iterations=BRIEF, tick=clock.tick), moved
+    )
+    best: dict[tuple[str, ...], Explanation] = {}
+    for fit in sorted(known, key=lambda e: e.chi_square):
+        best.setdefault(fit.keys, fit)
+    fits = list(best.values())
 
     def again(fit: Explanation) -> Explanation:
         return refit_about(located.nominal, fixed, fit, tick=clock.tick)[1]
 
-    return [*parallel_map(again, fits[:RELINEARISED]), *fits[RELINEARISED:]]
+    return fixed, [*parallel_map(again, fits[:RELINEARISED]), *fits[RELINEARISED:]]
+
+
+def _in_place_of_constants(
+    located: Located,
+    fixed: LinearisedProblem,
+    unmoved: Sequence[Explanation],
+    limits: Limits,
+    clock: Clock,
+) -> Held | None:
+    """The effect that explains, with no constant moved, what several of them together explain no better.
+
+    Constants are many, and make up for nearly every effect by moves that fit it and nothing else. On another day a room, a
+    time constant and a zero move each as they will: a single effect that does the same would be a coincidence.
+    On a device without body zero and gain are all that moves, and they do mimic effects: there it is not asked.
+    """
+    first = _best_inside(sorted(unmoved, key=lambda e: cost(e, fixed, limits)))
+    if first is None or first.at_bound or located.own_misfit:
+        return None
+    problem = located.problem
+    drift = drift_of(problem, problem.residual)
+    moved = max(int(np.count_nonzero(drift.sigmas > limits.constant_moved)), 1)
+    constants = problem.residual_chi_square + moved * price(problem, limits)
+
+    def ahead(explanation: Explanation, count: int) -> float:
+        excess = max(explanation.chi_square / count - 1.0, 0.0)
+        return constants - cost(explanation, fixed, limits) - limits.rival * (1.0 + excess)
+
+    if ahead(first, fixed.count) <= 0.0:
+        return None
+    clock.say("judging an effect in the place of moved constants")
+    option = option_of(located.nominal, fixed, first, unmoved, tick=clock.tick)
+    if option.chosen.at_bound or ahead(option.chosen, option.final.count) <= 0.0:
+        return None
+    return Held(option, fixed, drift, constants - cost(option.chosen, fixed, limits))
 
 
 def _options(
