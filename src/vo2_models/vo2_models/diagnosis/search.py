@@ -134,7 +134,8 @@ def search(
     options = _options(located, singles, candidates, limits, clock)
     return Search(
         tuple(candidates), tuple(scores), tuple(singles), tuple(options), hidden,
-        tuple(_not_excited(scores, limits)), _in_place_of_constants(located, fixed, unmoved, limits, clock),
+        tuple(_not_excited(scores, limits)),
+        None if one_loop else _in_place_of_constants(located, fixed, unmoved, limits, clock),
     )  # fmt: skip
 
 
@@ -250,7 +251,7 @@ def _in_place_of_constants(
 
     Constants are many, and make up for nearly every effect by moves that fit it and nothing else. On another day a room, a
     time constant and a zero move each as they will: a single effect that does the same would be a coincidence.
-    On a device without body zero and gain are all that moves, and they do mimic effects: there it is not asked.
+    On a device without body zero and gain are all that moves, and they do mimic effects: there it is not asked, nor on one loop.
     """
     first = _best_inside(sorted(unmoved, key=lambda e: cost(e, fixed, limits)))
     if first is None or first.at_bound or located.own_misfit:
