@@ -136,8 +136,11 @@ def without_a_name(
     """
     folds = recording_folds(located.problem, reading.calibrations) or block_folds(located.problem)
     judged = held_out(located.problem, None, folds=folds)
-    shown = decision.adequacy.share if decision.adequacy else 0.0
-    verdict = _Verdict(None, judged, found.singles, decision.remaining_excess, decision.adequacy, shown)
+    # what an effect in the place of constants explains, they explain
+    adequacy = None if decision.held else decision.adequacy
+    shown = adequacy.share if adequacy else 0.0
+    remaining = located.total_excess if decision.held else decision.remaining_excess
+    verdict = _Verdict(None, judged, found.singles, remaining, adequacy, shown)
     return _unnamed(located, found, verdict, folds, limits, clock, first_use=reading.first_use)
 
 
@@ -161,7 +164,7 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
             equivalent, ahead = _as_adequate(located, option, found.singles, limits, clock)
         rivals, remaining = option.rivals, option.remaining
         # with a body an effect in the place of constants is judged by itself, below
-        hidden = found.hidden and bool(located.own_misfit)
+        hidden = found.hidden and not located.nominal.model.description.has_body
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
             return _Verdict(option, judged, rivals, remaining, adequacy, shown, equivalent, ahead)
     if found.held is not None:

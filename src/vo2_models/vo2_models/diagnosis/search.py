@@ -254,7 +254,7 @@ def _in_place_of_constants(
     On a device without body zero and gain are all that moves, and they do mimic effects: there it is not asked, nor on one loop.
     """
     first = _best_inside(sorted(unmoved, key=lambda e: cost(e, fixed, limits)))
-    if first is None or first.at_bound or located.own_misfit:
+    if first is None or first.at_bound or not located.nominal.model.description.has_body:
         return None
     problem = located.problem
     drift = drift_of(problem, problem.residual)
