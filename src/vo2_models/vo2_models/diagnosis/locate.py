@@ -23,8 +23,10 @@ from vo2_models.recording import HEATER_CURRENT
 __all__ = ["Located", "locate"]
 
 Floats = NDArray[np.float64]
-SETTLED = 0.002
-"""Relative drop of chi-square with which moving the constants further ends."""
+SETTLED, SETTLED_BESIDE = 0.002, 0.02
+"""Relative drop of chi-square with which moving the constants further ends: by themselves, and beside a large effect."""
+BESIDE = 5.0
+"""Chi-square over samples from which constants follow an effect that is no move of them, and are not sought further."""
 FLAT = 10.0
 """Change of chi-square that is none."""
 SLOW, FURTHER = 3, 0.25
@@ -119,6 +121,7 @@ def _relinearise_constants(
     further as long as chi-square falls.
     """
     start = problem
+    beside = problem.residual_chi_square > BESIDE * problem.count
 
     def about(shift: Floats) -> LinearisedProblem:
         # columns of the start: those of a step before would be kept while the path is still near it
@@ -128,7 +131,7 @@ def _relinearise_constants(
             constants=start.constants,
             shift=shift,
             shapes=start.shapes,
-            loops=start.loops,
+            loops=problem.loops if beside else start.loops,
             refits=start.refits,
             say=clock.say,
         )
@@ -140,8 +143,8 @@ def _relinearise_constants(
         step = target - problem.origin
         if problem.curved(step) < 0.7:
             break
-        trials = [target, problem.origin + 0.5 * step]
-        if before is not None:
+        trials = [target] if beside else [target, problem.origin + 0.5 * step]
+        if before is not None and not beside:
             change = problem.in_straights(step - before)
             along = float(change @ problem.in_straights(step)) / max(float(change @ change), 1e-300)
             trials.insert(0, target - along * (target - targets[-1]))
@@ -154,9 +157,9 @@ def _relinearise_constants(
             break
         targets.append(target)
         before, problem = step, moved
-        if drop < SETTLED * moved.residual_chi_square:
+        if drop < (SETTLED_BESIDE if beside else SETTLED) * moved.residual_chi_square:
             break
-    while len(targets) >= SLOW:
+    while len(targets) >= SLOW and not beside:
         moved = about(problem.origin + FURTHER * (problem.origin - targets[0]))
         if problem.residual_chi_square - moved.residual_chi_square <= FLAT:
             break
