@@ -118,10 +118,12 @@ def _relinearise_constants(
 
     Loops that are open along a wrong path of temperature take up a part of a move, so that plain steps come near slowly: each is
     extrapolated from the one before (Anderson's acceleration of depth one), and after many small ones the whole way is gone
-    further as long as chi-square falls.
+    further as long as chi-square falls. Beside a large effect constants would only follow it further: there steps stay plain.
     """
     start = problem
-    beside = problem.residual_chi_square > BESIDE * problem.count
+
+    def beside() -> bool:
+        return problem.residual_chi_square > BESIDE * problem.count
 
     def about(shift: Floats) -> LinearisedProblem:
         # columns of the start: those of a step before would be kept while the path is still near it
@@ -131,7 +133,7 @@ def _relinearise_constants(
             constants=start.constants,
             shift=shift,
             shapes=start.shapes,
-            loops=problem.loops if beside else start.loops,
+            loops=problem.loops if beside() else start.loops,
             refits=start.refits,
             say=clock.say,
         )
@@ -143,8 +145,8 @@ def _relinearise_constants(
         step = target - problem.origin
         if problem.curved(step) < 0.7:
             break
-        trials = [target] if beside else [target, problem.origin + 0.5 * step]
-        if before is not None and not beside:
+        trials = [target] if beside() else [target, problem.origin + 0.5 * step]
+        if before is not None and not beside():
             change = problem.in_straights(step - before)
             along = float(change @ problem.in_straights(step)) / max(float(change @ change), 1e-300)
             trials.insert(0, target - along * (target - targets[-1]))
@@ -157,9 +159,9 @@ def _relinearise_constants(
             break
         targets.append(target)
         before, problem = step, moved
-        if drop < (SETTLED_BESIDE if beside else SETTLED) * moved.residual_chi_square:
+        if drop < (SETTLED_BESIDE if beside() else SETTLED) * moved.residual_chi_square:
             break
-    while len(targets) >= SLOW and not beside:
+    while len(targets) >= SLOW and not beside():
         moved = about(problem.origin + FURTHER * (problem.origin - targets[0]))
         if problem.residual_chi_square - moved.residual_chi_square <= FLAT:
             break

@@ -126,6 +126,7 @@ def _moved(study: Study) -> list[MovedConstant]:
 
 
 def _told_moves(study: Study, drift: Drift) -> list[MovedConstant]:
+    """The moves of a drift that are worth telling: of all constants that are surely elsewhere, and at least the surest."""
     order = np.argsort(-drift.sigmas)
     chosen = [k for k in order if drift.sigmas[k] > study.limits.constant_moved] or order[:1].tolist()
     return [
