@@ -87,8 +87,8 @@ def test_an_effect_beside_a_drift_is_named_and_the_drift_told(parameters) -> Non
     answer = diagnose([concealed(creep, moved=WARMER)], parameters)
     assert answer.verdict == "differs"
     assert [(e.id, e.family) for e in answer.effects] == [("creep", "structure")]
-    assert answer.moved[0].constant == "thermal.ambient"
-    assert answer.moved[0].now - answer.moved[0].was == pytest.approx(0.5, abs=0.08)
+    (room,) = [m for m in answer.moved if m.constant == "thermal.ambient"]
+    assert room.now - room.was == pytest.approx(0.5, abs=0.08) and len(answer.moved) < 3
 
 
 @pytest.mark.slow

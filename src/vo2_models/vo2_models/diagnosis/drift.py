@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,18 +24,47 @@ class Drift:
     Attributes
     ----------
     constants : the constants
-    move : (d,) posterior mean, in each constant's unit
-    std : (d,) posterior standard deviation, what the calibration left open included, widened for misfit that is
-        correlated over long stretches
-    chi_square : squared move over its covariance: of an unchanged device a chi-square of d degrees of freedom
-    weights : (t,) of all thermal columns
+    steps : (d,) posterior mean, in units of each constant's `spread`
+    covariance : (d, d) of the steps, what the calibration left open included, widened for misfit that is correlated over
+        long stretches
+    weights : (t,) of all thermal columns, every constant free
     """
 
     constants: tuple[Constant, ...]
-    move: Floats
-    std: Floats
-    chi_square: float
+    steps: Floats
+    covariance: Floats
     weights: Floats
+
+    @property
+    def chi_square(self) -> float:
+        """Squared move over its covariance: of an unchanged device a chi-square of d degrees of freedom."""
+        return float(self.steps @ np.linalg.pinv(self.covariance, hermitian=True) @ self.steps)
+
+    @property
+    def _logarithm(self) -> Floats:
+        """Move (d,) of the logarithm of a gain of the resistance, which is what was fitted; 0 of all others."""
+        of = [c.name == "resistance.gain" for c in self.constants]
+        return np.where(of, np.clip(self._spread * self.steps, -50.0, 50.0), 0.0)
+
+    @property
+    def _spread(self) -> Floats:
+        return np.array([c.spread for c in self.constants])
+
+    @property
+    def move(self) -> Floats:
+        """Posterior mean (d,), in each constant's unit."""
+        logarithm = self._logarithm
+        return np.where(logarithm, np.expm1(logarithm), self._spread * self.steps)
+
+    @property
+    def std(self) -> Floats:
+        """Posterior standard deviation (d,), in each constant's unit."""
+        return np.asarray(np.exp(self._logarithm) * self._spread * np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def sigmas(self) -> Floats:
+        """Distance (d,) of each constant from where it was, in standard deviations."""
+        return np.asarray(np.abs(self.move) / self.std)
 
     def widened(self, by: float) -> Drift:
         """Return the same with standard deviations `by` times as large, where more than noise is left.
@@ -45,16 +75,46 @@ class Drift:
         ----------
         by : r.m.s. of what is left over that of the noise, 1 or more
         """
-        return replace(self, std=by * self.std, chi_square=self.chi_square / by**2)
+        return replace(self, covariance=by**2 * self.covariance)
 
     def significant(self, probability: float) -> bool:
         """Whether unchanged constants would move as far with at most this probability."""
         return bool(self.chi_square > chi2.isf(probability, len(self.constants)))
 
-    @property
-    def sigmas(self) -> Floats:
-        """Distance (d,) of each constant from where it was, in standard deviations."""
-        return np.asarray(np.abs(self.move) / self.std)
+    def fewest(self, probability: float, rival: float) -> list[Drift]:
+        """Return the moves of the fewest constants beside which no other has moved, the likeliest set first.
+
+        Gain, zero and room do nearly the same in a response: free together each is uncertain, though one of them alone
+        explains what all do. With precision P = C^-1, b = P m, those of a set S free and all others where they were move to
+        P_SS^-1 b_S with covariance P_SS^-1, and the squared move that is left, m'b - b_S' P_SS^-1 b_S, is a chi-square of the
+        others' number if these have not moved.
+
+        Parameters
+        ----------
+        probability : of what is left, for others that have not moved, above which none of them has
+        rival : difference of chi-square up to which another set of as many is not told from the likeliest
+
+        Returns
+        -------
+        one or more, each of its constants only
+        """
+        precision = np.linalg.pinv(self.covariance, hermitian=True)
+        along = precision @ self.steps
+        found = []
+        for size in range(1, len(self.constants) + 1):
+            for places in combinations(range(len(self.constants)), size):
+                own = list(places)
+                covariance = np.linalg.pinv(precision[np.ix_(own, own)], hermitian=True)
+                steps = covariance @ along[own]
+                left = float(self.steps @ along - steps @ along[own])
+                constants = tuple(self.constants[k] for k in own)
+                found.append((left, replace(self, constants=constants, steps=steps, covariance=covariance)))
+            found.sort(key=lambda one: one[0])
+            others = len(self.constants) - size
+            if not others or found[0][0] <= chi2.isf(probability, others):
+                break
+            found = []
+        return [drift for left, drift in found if left <= found[0][0] + rival]
 
 
 def drift_of(problem: LinearisedProblem, residual: Floats) -> Drift:
@@ -82,16 +142,5 @@ def drift_of(problem: LinearisedProblem, residual: Floats) -> Drift:
     scatter = np.sum(problem.over_stretches(influence * left[:, None]) ** 2, axis=0)
     plain = np.sum(influence**2, axis=0)
     wider = np.sqrt(np.maximum(scatter / np.maximum(plain, 1e-300), 1.0))
-    spread = np.array([c.spread for c in constants])
-    z = weights[first:][places]
     scaled = covariance * np.outer(wider, wider)
-    move, std = spread * z, spread * np.sqrt(np.diag(scaled))
-    # of a gain of the resistance the logarithm was fitted
-    logarithm = np.where([c.name == "resistance.gain" for c in constants], np.clip(move, -50.0, 50.0), 0.0)
-    return Drift(
-        constants,
-        np.where(logarithm, np.expm1(logarithm), move),
-        np.exp(logarithm) * std,
-        float(z @ np.linalg.pinv(scaled, hermitian=True) @ z),
-        weights[first:],
-    )
+    return Drift(constants, weights[first:][places], scaled, weights[first:])

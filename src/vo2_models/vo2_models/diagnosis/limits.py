@@ -176,11 +176,7 @@ class Limits:
         "whose loops are of another family than the model's, the largest was 15",
     )
     constant_moved: float = _limit(
-        4.0, "move of one constant, in standard deviations, from which it is listed"
-    )
-    large_move: float = _limit(
-        5.0,
-        "move of a constant, in standard deviations, that may hide an effect: beyond, hypotheses are tried unmoved too",
+        4.0, "move of one constant, in standard deviations, from which it counts in what moved constants cost"
     )
     quiet: float = _limit(
         1.4, "residual power over noise power up to which a channel's residual is taken for its noise"

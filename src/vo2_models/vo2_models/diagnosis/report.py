@@ -118,22 +118,26 @@ def _own_misfit(study: Study) -> dict[str, dict[str, float]]:
 
 
 def _moved(study: Study) -> list[MovedConstant]:
-    """Constants that have moved, surest first: all that are told from where they were, and at least the surest."""
+    """Constants that have moved, surest first."""
+    sets = _sets_of_moved(study)
+    return _told_moves(study, sets[0]) if sets else []
+
+
+def _sets_of_moved(study: Study) -> list[Drift]:
+    """The fewest constants that explain what all together do, and other sets of as many that are not told from them."""
     drift = study.decision.drift
     if study.decision.verdict == "agrees" or not drift.significant(study.limits.drift_p):
         return []
-    return _told_moves(study, drift)
+    return drift.fewest(study.limits.drift_p, study.limits.rival)
 
 
 def _told_moves(study: Study, drift: Drift) -> list[MovedConstant]:
-    """The moves of a drift that are worth telling: of all constants that are surely elsewhere, and at least the surest."""
-    order = np.argsort(-drift.sigmas)
-    chosen = [k for k in order if drift.sigmas[k] > study.limits.constant_moved] or order[:1].tolist()
+    """The moves of a drift as they are told, surest first."""
     return [
         MovedConstant(
             c.name, c.value, c.value + float(drift.move[k]), float(drift.std[k]), _unit(c.unit, study)
         )
-        for k, c in ((k, drift.constants[k]) for k in chosen)
+        for k, c in ((k, drift.constants[k]) for k in np.argsort(-drift.sigmas))
     ]
 
 
@@ -144,17 +148,31 @@ def _unit(unit: str, study: Study) -> str:
     return re.sub("[A-Za-z]+", lambda part: own.get(part[0], part[0]), unit)
 
 
-def _moved_in_words(moved: Sequence[MovedConstant]) -> str:
+def _moved_in_words(study: Study, moved: Sequence[MovedConstant]) -> str:
     return ", ".join(
         f"{m.constant} from {m.was:.5g} to {m.now:.5g} +- {m.std:.2g}{'' if m.unit == '1' else ' ' + m.unit}"
+        + _as_drive(study, m)
         for m in moved
     )
 
 
+def _as_drive(study: Study, moved: MovedConstant) -> str:
+    """What a move of the ambient is on a device without body, whose temperature is a scale of the drive only."""
+    model = study.located.problem.nominal.model
+    gain, square = (model.scalars[f"thermal.{name}_gain"] for name in ("linear", "square"))
+    if moved.constant != "thermal.ambient" or model.description.has_body or square or not gain:
+        return ""
+    return f" (as if the drive were {(moved.now - moved.was) / gain:+.3g} {model.description.drive_unit} off)"
+
+
 def _mimics(study: Study) -> list[str]:
-    """Effects that would look much like the constants that have moved."""
+    """What would look much like the constants that have moved: effects, and other constants."""
     names = " or ".join(h.record.id for h in study.decision.mimics)
-    return [f"constants have moved; {names} acting all the time would look much the same"] if names else []
+    notes = [f"constants have moved; {names} acting all the time would look much the same"] if names else []
+    sets = [" with ".join(m.constant for m in _told_moves(study, drift)) for drift in _sets_of_moved(study)]
+    if len(sets) > 1:
+        notes.append(f"in place of {sets[0]} these may have moved as well: {', or '.join(sets[1:])}")
+    return notes
 
 
 def _in_place_of_constants(study: Study) -> list[str]:
@@ -162,7 +180,8 @@ def _in_place_of_constants(study: Study) -> list[str]:
     held = study.decision.held
     if held is None:
         return []
-    moves = _moved_in_words(_told_moves(study, held.drift))
+    fewest = held.drift.fewest(study.limits.drift_p, study.limits.rival)[0]
+    moves = _moved_in_words(study, _told_moves(study, fewest))
     return [
         f"constants may have moved in place of the answer ({moves}): it is ahead of them by {held.ahead:.0f} of chi-square, with "
         "what each constant and parameter costs"
@@ -687,7 +706,7 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
             f"Simulation and recording agree{_of_what(study)}{_refitted(study)}: the residual exceeds the noise by "
             f"{power:.0f} % of its power, {_why_enough(study)}.{_taken_up(study)}"
         )
-    moved = _moved_in_words(_moved(study))
+    moved = _moved_in_words(study, _moved(study))
     if decision.verdict == "drifted":
         return (
             f"The same physics, constants have moved{_of_what(study)}: {moved}. With them simulation and recording agree: the "

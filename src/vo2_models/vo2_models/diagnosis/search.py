@@ -39,6 +39,8 @@ TRIMMED = 2
 """Refits to the samples that an effect explains best."""
 RELINEARISED = 3
 """Explanations that are linearised about themselves, where constants may stand for them or another effect is as good."""
+NEAR = 4.0
+"""Excess power left by these, over the least that any leaves, up to which they are: farther ones do not catch up."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,7 @@ def search(
     clock.say("refitting the most promising")
     fits = _refitted(problem, scores, limits, shortlist, clock)
     fixed, unmoved = problem, list[Explanation]()
-    if hidden and not first_use:
+    if hidden and not first_use and not _without_constants(located, fits, limits, clock):
         fixed, unmoved = _with_fixed_constants(located, candidates, fits, limits, shortlist, clock)
         fits += unmoved
     fits += _with_courses(problem, candidates, fits, limits, clock)
@@ -137,6 +139,18 @@ def search(
         tuple(_not_excited(scores, limits)),
         None if one_loop else _in_place_of_constants(located, fixed, unmoved, limits, clock),
     )  # fmt: skip
+
+
+def _without_constants(located: Located, fits: Sequence[Explanation], limits: Limits, clock: Clock) -> bool:
+    """Whether an effect leaves nothing to constants: noise alone beside it, none of them moved, and far more without it."""
+    problem = located.problem
+    first = _best_inside(sorted(fits, key=lambda e: cost(e, problem, limits)))
+    without = problem.residual_chi_square / problem.count - 1.0
+    if first is None or first.at_bound or first.chi_square / problem.count - 1.0 > limits.share * without:
+        return False
+    option = option_of(located.nominal, problem, first, (), tick=clock.tick)
+    drift = drift_of(option.final, option.final.residual - option.chosen.deviation)
+    return option.remaining < limits.least and without > 1.0 and not drift.significant(limits.drift_p)
 
 
 def _with_courses(
@@ -179,8 +193,9 @@ def _refitted(
     limits: Limits,
     shortlist: int,
     clock: Clock,
+    known: Sequence[Explanation] = (),
 ) -> list[Explanation]:
-    """Refit the most promising hypotheses; those that may be the answer, or its rivals, to the end."""
+    """Refit the most promising hypotheses, but those `known` already; those that may be the answer, or its rivals, to the end."""
     promising = [s for s in scores if s.gain > max(0.08 * scores[0].gain, limits.faint)][:shortlist]
 
     def briefly(s: Score) -> Explanation:
@@ -189,7 +204,8 @@ def _refitted(
         # scores do not see what happens between samples, which is what the alternatives differ by
         return either_way(problem, fit, tick=clock.tick) if s.hypothesis.choices else fit
 
-    fits = parallel_map(briefly, promising)
+    there = {fit.keys[0] for fit in known}
+    fits = [*known, *parallel_map(briefly, [s for s in promising if s.hypothesis.key not in there])]
     most = max((fit.gain for fit in fits), default=0.0)
 
     def finished(fit: Explanation) -> Explanation:
@@ -224,20 +240,20 @@ def _with_fixed_constants(
         loops=problem.loops,
         say=clock.say,
     )
-    scores = score(fixed, candidates, fixed.residual, tick=clock.tick)
-    known = _refitted(fixed, scores, limits, shortlist, clock)
-    known += parallel_map(
+    known = parallel_map(
         lambda fit: fit_jointly(fixed, fit.hypotheses, fit.values, iterations=BRIEF, tick=clock.tick), moved
     )
-    best: dict[tuple[str, ...], Explanation] = {}
-    for fit in sorted(known, key=lambda e: e.chi_square):
-        best.setdefault(fit.keys, fit)
-    fits = list(best.values())
+    scores = score(fixed, candidates, fixed.residual, tick=clock.tick)
+    fits = sorted(_refitted(fixed, scores, limits, shortlist, clock, known), key=lambda e: e.chi_square)
+    least = fits[0].chi_square / fixed.count - 1.0 if fits else 0.0
+    near = [e for e in fits if e.chi_square / fixed.count - 1.0 <= NEAR * max(least, limits.least)][
+        :RELINEARISED
+    ]
 
     def again(fit: Explanation) -> Explanation:
         return refit_about(located.nominal, fixed, fit, tick=clock.tick)[1]
 
-    return fixed, [*parallel_map(again, fits[:RELINEARISED]), *fits[RELINEARISED:]]
+    return fixed, [*parallel_map(again, near), *fits[len(near) :]]
 
 
 def _in_place_of_constants(
