@@ -27,6 +27,7 @@ from vo2_models.diagnosis.problem import linearise_problem
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.read import read
 from vo2_models.diagnosis.report import assemble_diagnosis
+from vo2_models.diagnosis.search import _without_constants
 from vo2_models.model_file import load_model_parameters, save_model_parameters
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
@@ -168,9 +169,14 @@ def test_the_energy_of_every_axis_adds_up_to_the_channels_excess(creeping) -> No
             assert np.sum(channel.axes[axis][1]) == pytest.approx(channel.excess, rel=1e-6, abs=1e-6), axis
 
 
-@pytest.mark.slow
-def test_a_change_of_the_terminals_is_told_from_the_film(parameters) -> None:
-    answer = diagnose([concealed({"series_resistance": {"resistance": 900.0}})], parameters)
+@pytest.fixture(scope="module")
+def in_series(parameters):
+    """A study of a device whose film has got a resistance in series."""
+    return study([concealed({"series_resistance": {"resistance": 900.0}})], parameters)
+
+
+def test_a_change_of_the_terminals_is_told_from_the_film(in_series) -> None:
+    answer = assemble_diagnosis(in_series)
     assert answer.effects[0].id == "series_resistance"
     assert answer.effects[0].parameters["resistance"].value == pytest.approx(900.0, rel=0.15)
     assert answer.location[0].signal == RESISTANCE
@@ -226,6 +232,16 @@ def test_one_effect_is_named_where_several_constants_would_have_to_move_in_its_p
     corrected = corrected_parameters(seen)
     was = parameters["model.thermal.square_gain"]
     assert corrected["model.thermal.square_gain"] == pytest.approx(was, rel=1e-3)
+
+
+def test_an_effect_that_leaves_noise_alone_leaves_nothing_to_constants(in_series) -> None:
+    """Then no effect is sought with constants held; where it is not the best that is sought, it is."""
+    located, found = in_series.located, in_series.search
+    clock = Clock(lambda share, text: None, 100)
+    assert found.hidden and found.held is None  # constants follow it, and are where they were beside it
+    assert _without_constants(located, found.singles, Limits(), clock)
+    others = [fit for fit in found.singles if fit.keys[0] not in ("series_resistance", "contact_drift")]
+    assert others and not _without_constants(located, others, Limits(), clock)
 
 
 def test_constants_that_moved_by_themselves_have_no_effect_in_their_place(parameters) -> None:
