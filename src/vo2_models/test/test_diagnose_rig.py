@@ -404,6 +404,9 @@ def test_a_gain_or_a_zero_that_has_moved_is_told_as_that(model, change, constant
     farthest = int(np.argmax(drift.sigmas))
     assert found.decision.verdict == "drifted" and drift.constants[farthest].name == constant
     assert abs(drift.move[farthest] - moved) < 3.0 * drift.std[farthest] and drift.sigmas[farthest] > 10.0
+    (told,) = assemble_diagnosis(found).moved
+    assert told.constant == constant and told.std < drift.std[farthest]
+    assert told.now - told.was == pytest.approx(moved, abs=3.0 * told.std)
     # the constants moved, the recording is as near to the law as the calibration's held-out parts: no lag makes up for the rest
     assert found.located.own_misfit[TIP_DEFLECTION] < found.limits.own_misfit
     assert found.search.scores and not found.search.singles

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from vo2_models.diagnosis.breakdown import Breakdown
 from vo2_models.diagnosis.nominal import JUDGED_UNIT
+from vo2_models.diagnosis.report import moved_in_place
 from vo2_models.diagnosis.result import Diagnosis, NamedEffect
 from vo2_models.diagnosis.stages import Study
 from vo2_models.page.figures import figure_html, new_figure
@@ -40,7 +41,7 @@ def report_page(study: Study, diagnosis: Diagnosis) -> str:
     """
     parts = [_agreement(study)] if diagnosis.verdict == "agrees" else [_where(study, diagnosis)]
     if diagnosis.moved:
-        parts.append(_moved(diagnosis))
+        parts.append(_moved(study, diagnosis))
     if diagnosis.effects:
         parts.append(_what(study, diagnosis))
     parts += [_gain(study, diagnosis), _next(diagnosis), _data(study, diagnosis)]
@@ -230,7 +231,7 @@ def _what(study: Study, diagnosis: Diagnosis) -> str:
     return section("What was left out", *parts)
 
 
-def _moved(diagnosis: Diagnosis) -> str:
+def _moved(study: Study, diagnosis: Diagnosis) -> str:
     """Constants that have moved since the calibration."""
     rows = [
         (m.constant, f"{m.was:.6g}", f"{m.now:.6g}", f"{m.std:.2g}", "" if m.unit == "1" else m.unit)
@@ -240,6 +241,7 @@ def _moved(diagnosis: Diagnosis) -> str:
         "Constants that have moved",
         paragraph("Another day is not new physics: the same equations with other constants."),
         table("Constants", ("constant", "was", "is", "standard deviation", "unit"), rows),
+        *(paragraph(f"By these recordings {others}.") for others in moved_in_place(study)),
     )
 
 

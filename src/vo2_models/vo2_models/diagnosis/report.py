@@ -36,6 +36,7 @@ __all__ = [
     "assemble_diagnosis",
     "beside_the_first",
     "equally_likely",
+    "moved_in_place",
     "probabilities",
     "unlikely",
 ]
@@ -169,10 +170,22 @@ def _mimics(study: Study) -> list[str]:
     """What would look much like the constants that have moved: effects, and other constants."""
     names = " or ".join(h.record.id for h in study.decision.mimics)
     notes = [f"constants have moved; {names} acting all the time would look much the same"] if names else []
+    return [*notes, *moved_in_place(study)]
+
+
+def moved_in_place(study: Study) -> list[str]:
+    """Return the sentence of which constants may have moved in place of those that are told; none where no others may.
+
+    Parameters
+    ----------
+    study : what the stages found
+    """
     sets = [" with ".join(m.constant for m in _told_moves(study, drift)) for drift in _sets_of_moved(study)]
-    if len(sets) > 1:
-        notes.append(f"in place of {sets[0]} these may have moved as well: {', or '.join(sets[1:])}")
-    return notes
+    if len(sets) < 2:
+        return []
+    *others, last = sets[1:]
+    names = f"{', '.join(others)} or {last}" if others else last
+    return [f"{names} may have moved in place of {sets[0]}"]
 
 
 def _in_place_of_constants(study: Study) -> list[str]:
