@@ -22,7 +22,7 @@ from vo2_models.diagnosis.nonparametric_correction import Shape, fit_nonparametr
 from vo2_models.diagnosis.page import report_page
 from vo2_models.diagnosis.pipeline import study
 from vo2_models.diagnosis.progress import Clock
-from vo2_models.diagnosis.report import assemble_diagnosis
+from vo2_models.diagnosis.report import assemble_diagnosis, moved_in_place
 from vo2_models.hysteresis.preisach import PreisachOperator
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
@@ -407,6 +407,10 @@ def test_a_gain_or_a_zero_that_has_moved_is_told_as_that(model, change, constant
     (told,) = assemble_diagnosis(found).moved
     assert told.constant == constant and told.std < drift.std[farthest]
     assert told.now - told.was == pytest.approx(moved, abs=3.0 * told.std)
+    assert moved_in_place(found) == []
+    # if every other constant counted as one that would do as well
+    (others,) = moved_in_place(replace(found, limits=replace(found.limits, rival=np.inf)))
+    assert others.endswith(f" may have moved in place of {constant}") and " or thermal." in others
     # the constants moved, the recording is as near to the law as the calibration's held-out parts: no lag makes up for the rest
     assert found.located.own_misfit[TIP_DEFLECTION] < found.limits.own_misfit
     assert found.search.scores and not found.search.singles
