@@ -11,6 +11,7 @@ from vo2_models.device.description import described, preset
 from vo2_models.diagnosis import decide, hypotheses, report
 from vo2_models.diagnosis import search as third_stage
 from vo2_models.diagnosis.adequacy import Adequacy, adequacy_of, shown
+from vo2_models.diagnosis.corrected_model import corrected_parameters
 from vo2_models.diagnosis.drift import drift_of
 from vo2_models.diagnosis.explain import either_way, fit_jointly
 from vo2_models.diagnosis.families import BY_DEPENDENCE, family_of_unnamed
@@ -407,6 +408,9 @@ def test_a_gain_or_a_zero_that_has_moved_is_told_as_that(model, change, constant
     (told,) = assemble_diagnosis(found).moved
     assert told.constant == constant and told.std < drift.std[farthest]
     assert told.now - told.was == pytest.approx(moved, abs=3.0 * told.std)
+    corrected = corrected_parameters(found)
+    for name in ("ambient", "linear_gain", "time_constant"):  # free together, these make up for a part of it
+        assert corrected[f"model.thermal.{name}"] == pytest.approx(model[f"model.thermal.{name}"], rel=5e-3)
     assert moved_in_place(found) == []
     # if every other constant counted as one that would do as well
     (others,) = moved_in_place(replace(found, limits=replace(found.limits, rival=np.inf)))

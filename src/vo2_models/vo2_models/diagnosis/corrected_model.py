@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from vo2_models.diagnosis.drift import drift_of
 from vo2_models.diagnosis.held_out import HeldOut, block_folds, held_out
 from vo2_models.diagnosis.nominal import THERMAL
+from vo2_models.diagnosis.nuisance import Constant
 from vo2_models.diagnosis.pairs import Option, option_of, pair_of
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.stages import Study
@@ -106,7 +107,9 @@ def corrected_parameters(study: Study, unnamed: StandIn | None = None) -> dict[s
     model = study.located.nominal.model
     shown = {key: values for evident in study.reading.evident for key, values in evident.effects.items()}
     rest = final.residual - chosen.deviation if chosen else final.residual
-    values = final.moved(drift_of(final, rest).weights)
+    # where the whole nominal device is fitted anew, or effects only stand in, all constants belong to the fit
+    together = final.refits or unnamed is not None
+    values = final.moved(drift_of(final, rest).weights if together else _moves(study, rest))
     laws = {"resistance": model.resistance, "deflection": model.deflection}
     if final.refits:
         laws |= _refitted(final, rest, laws)
@@ -124,6 +127,20 @@ def corrected_parameters(study: Study, unnamed: StandIn | None = None) -> dict[s
         ),
     )
     return flat | model.to_parameters()
+
+
+def _moves(study: Study, rest: Floats) -> Floats:
+    """Moves (t,) of the constants that a residual (N,) leads to: of those that drift, the ones that are told alone.
+
+    Free together they trade, and on another path what one takes from another does not cancel.
+    """
+    told: tuple[Constant, ...] = ()
+    final, drift, limits = study.decision.final, study.decision.drift, study.limits
+    if drift.significant(limits.drift_p):
+        told = drift.fewest(limits.drift_p, limits.rival)[0].constants
+    free = [not c.drifts or c in told for c in final.constants]
+    nuisance = replace(final.nuisance, thermal=final.nuisance.thermal * free)
+    return drift_of(replace(final, nuisance=nuisance), rest).weights
 
 
 def _left(option: Option) -> float:
