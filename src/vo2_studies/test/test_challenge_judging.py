@@ -89,6 +89,26 @@ def test_moved_constants():
     assert judge(answer, {"diagnosis": plain}).constant is False
 
 
+def test_the_interval_of_a_moved_constant():
+    def holds(constant, by, unit, *entries):
+        answer = {
+            "kind": "moved",
+            "device": "x",
+            "effects": [],
+            "moved": [{"constant": constant, "by": by, "unit": unit}],
+        }
+        found = diagnosis(verdict="drifted", moved=list(entries))
+        return judge(answer, {"diagnosis": found}).constant_held
+
+    room = moved("thermal.ambient", 10.0)  # 1.0 +- 0.1 K
+    assert holds("ambient", 1.16, "K", room) and not holds("ambient", 1.17, "K", room)
+    lag = {"constant": "thermal.time_constant", "was": 2e-3, "is": 2.2e-3, "std": 0.1e-3, "unit": "s"}
+    assert holds("time_constant", 0.18, "1", room, lag) and not holds("time_constant", 0.19, "1", room, lag)
+    assert holds("time_constant", 0.1, "1", room) is None  # not told
+    zero = {"constant": "deflection.zero", "was": 0.0, "is": 1e-7, "std": 1e-9, "unit": "m"}
+    assert holds("deflection_zero", 0.01, "of range", zero) is None
+
+
 def test_families_and_siblings():
     truth = [effect("creep", families=["structure"], siblings=["log_creep"])]
 

@@ -29,7 +29,7 @@ from vo2_models.recording import HEATER_CURRENT
 
 from vo2_studies.challenge.catalogue import family_of_name
 from vo2_studies.challenge.constants import names_constant
-from vo2_studies.challenge.parameters import Comparison, compare_parameters, in_base_unit
+from vo2_studies.challenge.parameters import Z90, Comparison, compare_parameters, in_base_unit
 
 __all__ = [
     "COUNTED_EXCESS",
@@ -88,6 +88,7 @@ class Judgement:
     wrong : a name that is not the truth's, nor of a form that it says as much of; or a set of effects without the truth
     family : the first effect's family is right (one effect or outside)
     constant : drifted, and the constant that moved farthest in its standard deviations is the right one
+    constant_held : the 90 per cent interval of the moved constant, told, holds the truth (factors and kelvins)
     top1, top3 : right name first, among the first three of the ranking (one effect)
     sibling : right name first, or among the siblings of what is named first (one effect)
     limit : right because the limit was stated
@@ -116,6 +117,7 @@ class Judgement:
     wrong: bool = False
     family: bool | None = None
     constant: bool | None = None
+    constant_held: bool | None = None
     sibling: bool | None = None
     stated: tuple[tuple[float, bool], ...] = ()
     top1: bool | None = None
@@ -261,6 +263,7 @@ def judge(answer: Mapping, result: Mapping) -> Judgement:
     }
     if answer.get("moved"):
         values["constant"] = _right_constant(answer, diagnosis)
+        values["constant_held"] = _holds_constant(answer["moved"][0], diagnosis)
     if kind in ("one", "always", "beside"):
         values |= _judge_one(effects[0], diagnosis)
         follow_up = result.get("follow_up")
@@ -304,6 +307,19 @@ def _right_constant(answer: Mapping, diagnosis: Mapping) -> bool:
         return False
     farthest = max(entries, key=lambda e: abs(e["is"] - e["was"]) / (e.get("std") or 1.0))
     return names_constant(answer["moved"][0]["constant"], farthest)
+
+
+def _holds_constant(truth: Mapping, diagnosis: Mapping) -> bool | None:
+    """Whether the 90 per cent interval of the moved constant holds the truth; None where it is not told, or in no common unit.
+
+    A factor is one of the calibrated value; of a zero the truth is a share of the drawn device's range.
+    """
+    entries = diagnosis.get("moved") or ()
+    told = next((e for e in entries if names_constant(truth["constant"], e) and e.get("std")), None)
+    if told is None or truth["unit"] not in ("1", "K"):
+        return None
+    size = told["was"] if truth["unit"] == "1" else 1.0
+    return bool(abs(told["is"] - told["was"] - truth["by"] * size) <= Z90 * told["std"])
 
 
 def _right_family(effect: Mapping, diagnosis: Mapping) -> bool:

@@ -22,6 +22,7 @@ MEASURES = (
     ("outside_excess_removed", "outside: excess removed, median"),
     ("parameter_error", "parameter error, median"),
     ("coverage90", "90 % intervals hold the truth"),
+    ("moved_coverage90", "the same of moved gains, lags, rooms"),
     ("channel", "right channel"),
     ("branch", "right branch"),
     ("frequency", "resonance within 5 %"),

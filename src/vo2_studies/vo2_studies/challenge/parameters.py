@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-__all__ = ["QUANTITIES", "Comparison", "Quantity", "compare_parameters", "in_base_unit"]
+__all__ = ["QUANTITIES", "Z90", "Comparison", "Quantity", "compare_parameters", "in_base_unit"]
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,8 @@ class Quantity:
     group: str = ""
 
 
+Z90 = 1.645
+"""Half the width of a 90 per cent interval, in standard deviations of a normal distribution."""
 _TIME = ("tau", "tau_s", "time_constant", "time_constant_s")
 QUANTITIES: dict[str, tuple[Quantity, ...]] = {
     "second_thermal_mode": (
@@ -242,6 +244,6 @@ def compare_parameters(effect: str, truth: Mapping[str, Mapping], found: Mapping
         if quantity.sign_free:
             value, expected = abs(value), abs(expected)
         errors[quantity.truth] = abs(value - expected) / abs(expected)
-        covered[quantity.truth] = abs(value - expected) <= 1.645 * std
+        covered[quantity.truth] = abs(value - expected) <= Z90 * std
     missing = tuple(q.truth for q in open_quantities())
     return Comparison(errors, covered, tuple(left), missing)

@@ -37,6 +37,7 @@ def score(judgements: Sequence[Judgement]) -> dict[str, Any]:
         cases outside the catalogue and of those with one effect
     parameter_error : median relative error of the matched parameters of rightly named effects
     coverage90 : share of these whose interval value +- 1.645 std holds the truth
+    moved_coverage90 : the same of the told move of a constant that was moved, of gains, time constants and the room
     channel : one effect or outside: the channel of the largest share of excess carries at least a fifth of the
         true excess (or is the shunt current of a driver effect)
     branch : that of the same entry, or of the next where that is the current; asked where a sample of one branch has at
@@ -79,6 +80,7 @@ def score(judgements: Sequence[Judgement]) -> dict[str, Any]:
     put("outside_half_removed", (j.removed is not None and j.removed >= 0.5 for j in outside))
     result["excess_removed"] = _median(j.removed for j in one)
     _parameters(one, result, put)
+    put("moved_coverage90", (j.constant_held for j in judgements))
     put("channel", (j.channel for j in (*one, *outside)))
     put("branch", (j.branch for j in one))
     put("frequency", (j.frequency for j in one))
