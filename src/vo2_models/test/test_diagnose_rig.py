@@ -24,6 +24,7 @@ from vo2_models.diagnosis.page import report_page
 from vo2_models.diagnosis.pipeline import study
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.report import assemble_diagnosis, moved_in_place
+from vo2_models.diagnosis.result import MovedConstant
 from vo2_models.hysteresis.preisach import PreisachOperator
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
@@ -414,10 +415,18 @@ def test_a_gain_or_a_zero_that_has_moved_is_told_as_that(model, change, constant
     assert moved_in_place(found) == []
     # if every other constant counted as one that would do as well
     (others,) = moved_in_place(replace(found, limits=replace(found.limits, rival=np.inf)))
-    assert others.endswith(f" may have moved in place of {constant}") and " or thermal." in others
+    assert others.endswith(f" or others may have moved in place of {constant}") and "thermal." in others
     # the constants moved, the recording is as near to the law as the calibration's held-out parts: no lag makes up for the rest
     assert found.located.own_misfit[TIP_DEFLECTION] < found.limits.own_misfit
     assert found.search.scores and not found.search.singles
+
+
+def test_a_moved_ambient_is_told_as_an_offset_of_the_drive_where_nothing_is_heated(unchanged):
+    model = unchanged.located.nominal.model
+    gain = model.scalars["thermal.linear_gain"]
+    room = MovedConstant("thermal.ambient", 30.0, 30.0 + 0.2 * gain, 0.1, "degC")
+    assert report._as_drive(unchanged, room) == " (as if the drive were +0.2 V off)"
+    assert report._as_drive(unchanged, replace(room, constant="deflection.zero")) == ""
 
 
 @pytest.mark.slow

@@ -42,6 +42,8 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+OTHERS = 4
+"""Sets of constants, that which is told among them, up to which all are written out."""
 LOST = 2.0
 """So many times its chi-square may an explanation leave in the problem without effects to be compared with others there."""
 EXACT = 1e-3
@@ -183,7 +185,7 @@ def moved_in_place(study: Study) -> list[str]:
     sets = [" with ".join(m.constant for m in _told_moves(study, drift)) for drift in _sets_of_moved(study)]
     if len(sets) < 2:
         return []
-    *others, last = sets[1:]
+    *others, last = sets[1:OTHERS] if len(sets) <= OTHERS else [*sets[1:OTHERS], "others"]
     names = f"{', '.join(others)} or {last}" if others else last
     return [f"{names} may have moved in place of {sets[0]}"]
 
