@@ -42,6 +42,11 @@ RELINEARISED = 3
 NEAR = 4.0
 """Excess power left by these, over the least that any leaves, up to which they are: farther ones do not catch up."""
 
+LOUD = 1.0
+"""Excess power that moved constants alone must leave for an effect that leaves noise to be clear of them: as much as the noise."""
+PART = 0.25
+"""Share of that excess up to which the effect may leave some before it is linearised about itself."""
+
 
 @dataclass(frozen=True)
 class Held:
@@ -146,11 +151,16 @@ def _without_constants(located: Located, fits: Sequence[Explanation], limits: Li
     problem = located.problem
     first = _best_inside(sorted(fits, key=lambda e: cost(e, problem, limits)))
     without = problem.residual_chi_square / problem.count - 1.0
-    if first is None or first.at_bound or first.chi_square / problem.count - 1.0 > limits.share * without:
+    if (
+        first is None
+        or first.at_bound
+        or without < LOUD
+        or first.chi_square / problem.count - 1.0 > PART * without
+    ):
         return False
     option = option_of(located.nominal, problem, first, (), tick=clock.tick)
     drift = drift_of(option.final, option.final.residual - option.chosen.deviation)
-    return option.remaining < limits.least and without > 1.0 and not drift.significant(limits.drift_p)
+    return option.remaining < limits.least and not drift.significant(limits.drift_p)
 
 
 def _with_courses(
