@@ -43,7 +43,7 @@ NEAR = 4.0
 """Excess power left by these, over the least that any leaves, up to which they are: farther ones do not catch up."""
 
 LOUD = 1.0
-"""Excess power that moved constants alone must leave for an effect that leaves noise to be clear of them: as much as the noise."""
+"""Excess power that moved constants alone must leave for an effect that leaves noise to be clear of them: that of the noise."""
 PART = 0.25
 """Share of that excess up to which the effect may leave some before it is linearised about itself."""
 
