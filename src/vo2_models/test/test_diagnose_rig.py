@@ -196,7 +196,7 @@ def test_effects_that_explain_as_much_are_told_as_a_set_without_a_name(lagging):
     answer = assemble_diagnosis(found)
     (effect,) = answer.effects
     assert effect.id == "unknown" and len(effect.siblings) > 1 and "sensor_lag" in effect.siblings
-    assert effect.family == f"sensor:{TIP_DEFLECTION}"
+    assert effect.family == "sensor:stroke"
     assert answer.to_dict()["effects"][0]["siblings"] == effect.siblings
     assert f"one of {', '.join(effect.siblings)}" in answer.summary
     assert {pair[1] for pair in answer.indistinguishable} < set(effect.siblings)
@@ -271,7 +271,7 @@ def test_a_gain_that_walks_is_the_sensor_s(model):
     assert shapes[0].group == "time and value" and shapes[0].share > 5.0 * shapes[1].share
     assert family_of_unnamed(problem, found.located.excess, shapes) == f"sensor:{TIP_DEFLECTION}"
     (effect,) = assemble_diagnosis(found).effects
-    assert effect.id == "sensor_gain_drift" and effect.family == f"sensor:{TIP_DEFLECTION}"
+    assert effect.id == "sensor_gain_drift" and effect.family == "sensor:stroke"
 
 
 @pytest.mark.parametrize(
@@ -373,7 +373,7 @@ def test_a_zero_that_drifts_is_told(model):
     (effect,) = assemble_diagnosis(found).effects
     assert found.search.options[0].chosen.keys == (f"sensor_zero_drift:{TIP_DEFLECTION}",)
     assert (
-        "sensor_zero_drift" in (effect.id, *effect.siblings) and effect.family == f"sensor:{TIP_DEFLECTION}"
+        "sensor_zero_drift" in (effect.id, *effect.siblings) and effect.family == "sensor:stroke"
     )
 
 
@@ -565,11 +565,21 @@ def test_a_response_that_is_missing_is_named_as_the_device_names_it_and_units_ar
     other = replace(nominal.model, device=both.key)
     problem = replace(found.located.problem, nominal=replace(nominal, model=other))
     asked = replace(found, located=replace(found.located, problem=problem))
-    assert report._of_what(asked) == " in stroke (ohms could not be judged)"
+    told = report.in_own_names(report._of_what(asked), asked)
+    assert told == " in stroke (ohms could not be judged)"
     assert report._of_what(found) == ""
     assert [report._unit(unit, found) for unit in ("K/A^2", "K/A", "degC", "1", "s")] == [
         "K/V^2", "K/V", "degC", "1", "s",
     ]  # fmt: skip
+
+
+def test_every_channel_has_the_name_of_the_devices_own_file(lagging):
+    """The answer and the page speak of the recording's channels; of a response that the device has not, nothing is said."""
+    answer = assemble_diagnosis(lagging)
+    assert answer.effects[0].family.endswith(":stroke") and set(answer.fit) == {"stroke"}
+    assert set(answer.excess) == {"stroke", "total"} and {one.signal for one in answer.location} == {"stroke"}
+    text = json.dumps(answer.to_dict()) + report_page(lagging, answer)
+    assert not any(role in text for role in (TIP_DEFLECTION, RESISTANCE, HEATER_CURRENT))
 
 
 def test_a_late_clock_is_found_where_constants_have_moved_besides(unchanged, monkeypatch):

@@ -57,14 +57,13 @@ def test_what_wasconcealed_can_be_judged(change):
     whole = Recording(TIME, {"drive": LOOP, "out": LOOP}, "rig")
     rig = MeasuredSet("rig", {}, "drive", "out", "ohm" if "ohm" in change.units else "m", whole, {}, 0.01)
     _, entry = conceal(rig, whole, change, 2.0)
-    role = rig.roles["out"]
-    place = {"signal": role, "share": 1.0, "branch": "both", "frequency_hz": [7.8, 8.2]}
+    place = {"signal": "out", "share": 1.0, "branch": "both", "frequency_hz": [7.8, 8.2]}
     told = {"id": change.id, "family": entry["families"][0], "probability": 0.9, "signal": entry["signal"]}
     told["parameters"] = {n: {**p, "std": 0.1 * abs(p["value"])} for n, p in entry["parameters"].items()}
     diagnosis = {
         "verdict": "differs", "effects": [told], "candidates": [{"id": change.id, "probability": 0.9}],
         "location": [place], "indistinguishable": [], "next_experiment": None,
-        "fit": {role: {"nrmse_before": 0.02, "nrmse_after": 0.01, "noise_floor": 0.01}},
+        "fit": {"out": {"nrmse_before": 0.02, "nrmse_after": 0.01, "noise_floor": 0.01}},
     }  # fmt: skip
     answer = {
         "index": 0, "kind": "one", "device": "rig", "family": "measured", "condition": "rerun", "excitation": "own",
@@ -117,12 +116,9 @@ def test_cases_of_the_measured_sets(tmp_path):
         case = settings.case(plan)
         assert case.answer["effects"][0]["ratio"] > 0
         (measured,) = (one for one in settings.sets if one.name == plan.device)
-        role = case.answer["effects"][0]["channels"][0]
+        channel = case.answer["effects"][0]["channels"][0]
         names = described(measured.document, plan.device).names
-        assert {name: of for of, name in measured.roles.items()} == names, (
-            "as who reads the device file calls them"
-        )
-        channel = names[role]
+        assert {measured.drive, measured.response} == set(names.values())
         assert not np.array_equal(case.test.measurement[channel], measured.others[plan.condition][channel])
         assert case.shared == plan.device and len(case.test.measurement) <= MOST
         assert write_case(case, Paths(tmp_path)) == "device.yaml"

@@ -109,7 +109,7 @@ def check_recording(recording: Recording, nominal: Nominal, *, name: str = "reco
     findings += _clock(recording, nominal, name)
     findings += _drive(recording, nominal, name)
     usable = []
-    for channel in (RESISTANCE, TIP_DEFLECTION):
+    for channel in (response.role for response in nominal.model.description.responses):
         if channel not in recording:
             findings.append(
                 Finding("absent", f"{channel} is absent: effects that only it shows cannot be told")

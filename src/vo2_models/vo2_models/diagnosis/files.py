@@ -8,7 +8,7 @@ from pathlib import Path
 
 from vo2_models.diagnosis.corrected_model import StandIn, corrected_parameters, stand_in
 from vo2_models.diagnosis.page import report_page
-from vo2_models.diagnosis.report import assemble_diagnosis
+from vo2_models.diagnosis.report import assemble_diagnosis, in_own_names
 from vo2_models.diagnosis.result import Diagnosis, validate
 from vo2_models.diagnosis.stages import Study
 from vo2_models.io import write_whole
@@ -36,7 +36,7 @@ def write_results(
     """
     diagnosis = assemble_diagnosis(study)
     unnamed = stand_in(study)
-    said = [unnamed.in_words()] if unnamed else []
+    said = [in_own_names(unnamed.in_words(), study)] if unnamed else []
     if study.decision.verdict == "differs" and study.decision.chosen is None and not unnamed:
         said = [
             "corrected_model.yaml has no correction of what has no name: no term of the catalogue comes near it"

@@ -62,6 +62,12 @@ def _labels(study: Study) -> dict[str, tuple[str, str, float]]:
     return found
 
 
+def _own_labels(study: Study) -> dict[str, tuple[str, str, float]]:
+    """The same by the names of the device's own file, as a diagnosis has them."""
+    names = study.located.problem.nominal.model.description.names
+    return {names.get(role, role): label for role, label in _labels(study).items()}
+
+
 def _agreement(study: Study) -> str:
     return section(
         "How they agree",
@@ -75,9 +81,10 @@ def _agreement(study: Study) -> str:
 
 def _where(study: Study, diagnosis: Diagnosis) -> str:
     labels, device = _labels(study), study.located.problem.nominal.model.description
+    own = _own_labels(study)
     rows = [
         (
-            labels[p.signal][0],
+            own[p.signal][0],
             f"{100 * p.share:.0f} %",
             p.branch,
             "-"
@@ -205,7 +212,7 @@ def _map_figure(
 
 
 def _what(study: Study, diagnosis: Diagnosis) -> str:
-    labels = _labels(study)
+    labels = _own_labels(study)
     parts = [_effect(effect, labels) for effect in diagnosis.effects]
     if diagnosis.candidates:
         rows = [
@@ -267,7 +274,7 @@ def _effect(effect: NamedEffect, labels: Mapping[str, tuple[str, str, float]]) -
 
 
 def _gain(study: Study, diagnosis: Diagnosis) -> str:
-    labels = _labels(study)
+    labels = _own_labels(study)
     rows = [
         (
             labels[c][0],

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,7 @@ __all__ = [
     "assemble_diagnosis",
     "beside_the_first",
     "equally_likely",
+    "in_own_names",
     "moved_in_place",
     "probabilities",
     "unlikely",
@@ -65,7 +67,7 @@ of seeds that no published figure comes from.
 
 
 def assemble_diagnosis(study: Study) -> Diagnosis:
-    """Return the diagnosis that a study supports."""
+    """Return the diagnosis that a study supports; channels have the names that the device's file gives them."""
     decision, verdict = study.decision, study.verdict
     candidates, probability = _candidates(study) if decision.verdict == "differs" else ([], {})
     effects = _named(study, probability) if decision.verdict == "differs" else []
@@ -74,7 +76,7 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
     shown = [_shown(study, evident) for evident in study.reading.evident]
     candidates = [*(_seen(study, evident) for evident in study.reading.evident), *candidates]
     pairs = [list(pair) for pair in decision.rival_pairs]
-    return Diagnosis(
+    found = Diagnosis(
         verdict=verdict,
         moved=_moved(study),
         location=_location(study),
@@ -98,6 +100,32 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
         adequacy=_adequacy(study),
         own_misfit=_own_misfit(study),
     )
+    return in_own_names(found, study)
+
+
+def in_own_names(found: Any, study: Study) -> Any:
+    """Return a record, a mapping, a list or a text in which each channel has the name that the device's file gives it.
+
+    Parameters
+    ----------
+    found : that has their roles, as the shipped devices call them, in texts and keys
+    study : of the device
+    """
+    names = study.located.problem.nominal.model.description.names
+    role = re.compile(rf"\b({'|'.join(names)})\b")
+
+    def own(value: Any) -> Any:
+        if isinstance(value, str):
+            return role.sub(lambda match: names[match[0]], value)
+        if isinstance(value, Mapping):
+            return {own(key): own(entry) for key, entry in value.items()}
+        if isinstance(value, list):
+            return [own(entry) for entry in value]
+        if is_dataclass(value) and not isinstance(value, type):
+            return replace(value, **{f.name: own(getattr(value, f.name)) for f in fields(value)})
+        return value
+
+    return own(found)
 
 
 def _adequacy(study: Study) -> dict[str, float | list[str]]:
@@ -505,7 +533,7 @@ def _shown_in_words(study: Study, shown: Sequence[NamedEffect]) -> str:
         told = ", ".join(f"{name} {p.value:.5g} {p.unit}" for name, p in effect.parameters.items())
         size = study.located.nominal.span[evident.signal]
         words += (
-            f"The values of {study.located.nominal.model.description.names.get(evident.signal, evident.signal)} show "
+            f"The values of {evident.signal} show "
             f"{effect.id} by themselves ({told}; {100 * evident.share:.3g} % of the samples): left out; without it the error "
             f"there is {100 * evident.before / size:.3g} % of the range, with it {100 * evident.after / size:.3g} %. "
         )
@@ -602,8 +630,7 @@ def _unknown(study: Study) -> NamedEffect:
     shapes = outside.shapes if outside is not None else ()
     if shapes:
         words = "; ".join(
-            f"{_in_own_words(study, s.channel)} depends on {s.words} ({100 * s.share:.0f} % of its excess)"
-            for s in shapes[:4]
+            f"{s.channel} depends on {s.words} ({100 * s.share:.0f} % of its excess)" for s in shapes[:4]
         )
         statement = (
             "Nothing of the catalogue explains the excess. A correction without a name removes "
@@ -648,11 +675,10 @@ def _of_what(study: Study) -> str:
     """Which channels agree, where a response of the device could not be judged."""
     judged = {row.channel for row in study.located.problem.rows}
     device = study.located.problem.nominal.model.description
-    absent = [device.names[role] for role in (r.role for r in device.responses) if role not in judged]
+    absent = [response.role for response in device.responses if response.role not in judged]
     if not absent:
         return ""
-    told = sorted(device.names.get(role, role) for role in judged)
-    return f" in {' and '.join(told)} ({' and '.join(absent)} could not be judged)"
+    return f" in {' and '.join(sorted(judged))} ({' and '.join(absent)} could not be judged)"
 
 
 def _refitted(study: Study) -> str:
@@ -682,13 +708,6 @@ def _loops_in_words(study: Study) -> list[str]:
         share = float(np.sqrt(np.mean(change**2))) / study.located.nominal.span[channel]
         found.append(f"the loop of {channel} by {100 * share:.2g} % of its range (r.m.s.)")
     return found
-
-
-def _in_own_words(study: Study, text: str) -> str:
-    """A text in which the channels have the names that the device's file gives them."""
-    for role, name in study.located.problem.nominal.model.description.names.items():
-        text = text.replace(role, name)
-    return text
 
 
 def _why_enough(study: Study) -> str:
@@ -728,9 +747,10 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
             f"residual exceeds the noise by {power:.0f} % of its power, {_why_enough(study)}."
         )
     where = max(excess, key=lambda c: excess[c])
-    own = study.located.problem.nominal.model.description.names
-    family = _in_own_words(study, effects[0].family)
-    head = f"Simulation and recording differ, most in {own.get(where, where)} ({1 + excess[where]:.3g} times the noise power)."
+    family = effects[0].family
+    head = (
+        f"Simulation and recording differ, most in {where} ({1 + excess[where]:.3g} times the noise power)."
+    )
     if decision.held is not None:
         head = "Simulation and recording differ: an effect explains with none moved what constants would have to move for."
     lead = (
@@ -745,11 +765,7 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
             f"{head} Left out: one of {', '.join(effects[0].siblings)}; these recordings do not tell which. Most of them are "
             f"of the family {family}.{tail}"
         )
-    names = [
-        e.id + (f" on {own.get(e.signal, e.signal)}" if e.signal else "")
-        for e in effects
-        if e.id != "unknown"
-    ]
+    names = [e.id + (f" on {e.signal}" if e.signal else "") for e in effects if e.id != "unknown"]
     if not names:
         share = decision.unnamed.share if decision.unnamed else 0.0
         return (

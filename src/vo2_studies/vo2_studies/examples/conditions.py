@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -108,16 +108,14 @@ def read_conditions(path: Path) -> list[Condition]:
     return found
 
 
-def agreement(condition: Condition, diagnosis: Diagnosis, channels: Mapping[str, str]) -> str:
+def agreement(condition: Condition, diagnosis: Diagnosis) -> str:
     """Return how a diagnosis stands to the expert's answer, one of `AGREEMENT`.
 
-    A name is wrong where the expert has none, or another one. "unknown" counts by its family, in which a diagnosis
-    calls a sensor by its role.
+    A name is wrong where the expert has none, or another one. "unknown" counts by its family.
 
     Parameters
     ----------
     condition, diagnosis : asked, and answered
-    channels : role -> channel of the device
     """
     names = [effect.id for effect in diagnosis.effects if effect.id != "unknown"]
     if set(names) - set(condition.names):
@@ -126,8 +124,7 @@ def agreement(condition: Condition, diagnosis: Diagnosis, channels: Mapping[str,
         return "another verdict"
     if names or diagnosis.verdict != "differs":
         return "same"
-    where, _, role = diagnosis.effects[0].family.partition(":") if diagnosis.effects else ("", "", "")
-    if (f"{where}:{channels.get(role, role)}" if role else where) not in condition.families:
+    if not diagnosis.effects or diagnosis.effects[0].family not in condition.families:
         return "another family"
     return "same family" if not condition.names else "unknown, same family"
 
@@ -151,7 +148,7 @@ def ask(condition: Condition, examples: Sequence[Example], data: Path, output: P
     ]
     said = f"{found.verdict}: {', '.join(entries) or 'no name'}"
     names = tuple(effect.id for effect in found.effects if effect.id != "unknown")
-    return Asked(condition, said, agreement(condition, found, device.names), names)
+    return Asked(condition, said, agreement(condition, found), names)
 
 
 def _recorded(

@@ -126,17 +126,15 @@ def conceal(measured: MeasuredSet, test: Recording, change: Change, ratio: float
 
     unit = measured.spread * float(scale)
     after, strength = changed(change, test.time_s, values, ratio * unit, moved)
-    roles = measured.roles
-    role = roles[channel]
-    family = f"{change.family}:{role}" if change.family in ("sensor", "clock") else change.family
+    family = f"{change.family}:{channel}" if change.family in ("sensor", "clock") else change.family
     # a single response does not tell a structure that lags from its sensor
-    also = [f"sensor:{role}"] if change.family in ("structure", "film") else []
+    also = [f"sensor:{channel}"] if change.family in ("structure", "film") else []
     entry = {
         "id": change.id,
         "form": "measured",
         "siblings": [],
         "families": [family, *also],
-        "signal": role if change.family in ("sensor", "clock") else None,
+        "signal": channel if change.family in ("sensor", "clock") else None,
         "parameters": {
             change.parameter: {
                 "value": strength,
@@ -145,7 +143,7 @@ def conceal(measured: MeasuredSet, test: Recording, change: Change, ratio: float
             **{n: {"value": v, "unit": u} for n, (v, u) in change.fixed(test.sample_period_s).items()},
         },
         "ratio": moved(after) / unit,
-        "channels": [role, roles[measured.response]],
+        "channels": [channel, measured.response],
         "branch": "both",
         "absorbed_by_constant": False,
     }

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
+from vo2_models.recording import Recording
 
 __all__ = ["MeasuredSet", "load_sets", "repeat_spread"]
 
@@ -49,14 +49,6 @@ class MeasuredSet:
     calibration: Recording
     others: Mapping[str, Recording]
     spread: float
-
-    @property
-    def roles(self) -> dict[str, str]:
-        """Channel -> its name in a diagnosis, which calls what drives and what responds as on the shipped devices."""
-        return {
-            self.drive: HEATER_CURRENT,
-            self.response: RESISTANCE if self.unit == "ohm" else TIP_DEFLECTION,
-        }
 
 
 def judged(values: Array, unit: str) -> Array:
