@@ -138,7 +138,7 @@ def test_a_late_sensor_sees_what_happens_between_samples(name, parameter) -> Non
 @pytest.mark.parametrize("name", [e.id for e in effects().values() if e.occurs_on("integrated")])
 def test_what_acts_behind_the_film_may_share_its_simulation(name) -> None:
     effect = effects()[name]
-    basis, current, dt = basis_of("integrated"), _drive(), 1e-3
+    basis, current, dt = basis_of(DeviceModel("integrated")), _drive(), 1e-3
     rng = np.random.default_rng(2)
     fold = {
         c: basis.fold(rng.normal(size=basis.columns), span=s)
@@ -197,7 +197,7 @@ def test_what_acts_behind_the_film_may_share_its_simulation(name) -> None:
 )
 def test_a_sensor_shows_a_change_of_the_loop_as_it_shows_the_loop(channel, changes) -> None:
     """A small change of the loop's shape, propagated, is the difference of two simulations, behind a steep ripple too."""
-    current, dt, basis = _drive(), 1e-3, basis_of("integrated")
+    current, dt, basis = _drive(), 1e-3, basis_of(DeviceModel("integrated"))
     nominal = replace(_model(), model=_with_deflection())
     weights = np.random.default_rng(2).normal(size=basis.columns)
     span = 1e-4 if channel == RESISTANCE else 1e-9

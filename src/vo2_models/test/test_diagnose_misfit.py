@@ -80,7 +80,7 @@ def test_a_misfit_that_wanders_is_told_from_noise_and_from_another_loop(calibrat
     ends, noise = calibration
     rng = np.random.default_rng(8)
     blocks = rng.normal(scale=noise / np.sqrt(10.0), size=ends.size - 1)
-    basis = basis_of("integrated")
+    basis = basis_of(DeviceModel("integrated"))
     loop = basis.fold(0.5 * rng.standard_normal(basis.columns), span=4.0)(ends)
     shape = _shape(calibration, blocks + 0.5 * (loop[1:] + loop[:-1]))
     assert shape.misfit.level == 0.0, "a loop of another shape, and noise"

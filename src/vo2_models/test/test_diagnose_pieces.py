@@ -2,18 +2,22 @@
 
 import copy
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from vo2_models.device import DeviceModel, preset
+from vo2_models.device.description import described
 from vo2_models.diagnosis import study
 from vo2_models.diagnosis.breakdown import one_loop, turning_points
 from vo2_models.diagnosis.check import Unusable, check_recording
+from vo2_models.diagnosis.decide import _is_small
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.next_experiment import library
 from vo2_models.diagnosis.noise import NoiseModel, fit_noise, level_from_differences, outliers
-from vo2_models.diagnosis.nominal import Nominal
+from vo2_models.diagnosis.nominal import Nominal, basis_of, transition_of
+from vo2_models.diagnosis.part import _after_torn_steps, _turns
 from vo2_models.diagnosis.report import beside_the_first, probabilities
 from vo2_models.diagnosis.result import SCHEMA, validate
 from vo2_models.effects.adc_quantization import value_step
@@ -389,3 +393,58 @@ def test_what_happens_often_or_is_a_converters_step_is_no_outlier() -> None:
     assert not outliers(np.array([0.0, 100.0, 0.0])).any()
     late = residual + 60.0 * (np.arange(4000) % 211 == 0)
     assert outliers(late).any() and not outliers(late, 0.0, np.full(4000, 60.0)).any()
+
+
+@pytest.mark.parametrize("hotter", [1.0, 3.0])
+def test_the_basis_of_the_loop_shape_lies_where_the_fitted_loops_are(hotter) -> None:
+    """A file that tells no transition: gain and ambient set the scale of the temperature, and the loops lie anywhere on it."""
+    device = described(
+        {
+            "schema": "vo2-device/1",
+            "id": "wire",
+            "drive": {"channel": "heater_current", "unit": "A", "limits": [0.0, 1.0]},
+            "body": {"kind": "first_order", "ambient": 20.0, "square_gain": 100.0 * hotter},
+            "responses": {"ohms": {"unit": "ohm", "range": [3.0, 5.0]}, "strain": {"unit": "m"}},
+        },
+        "wire",
+    )
+    middle, width = 20.0 + 45.0 * hotter, 9.0 * hotter
+    slope = 0.2 / hotter
+    rising, falling = (-slope * (middle + side * width / 2) for side in (1, -1))
+    law = PlayBank([0.1], [0.0], [slope], [rising], [slope], [falling], [0.0])
+    model = DeviceModel(device.key, resistance=law)
+    (heating, spread), (wide, _) = transition_of(model)
+    assert heating == pytest.approx(middle + width / 2, abs=0.5 * hotter)
+    assert wide == pytest.approx(width, rel=0.1)
+    basis = basis_of(model)
+    low, high = basis.centre_degc
+    assert low < middle - 2 * spread and middle + 2 * spread < high
+    assert basis.half_width_k > width / 2
+    # as many functions as on a shipped device, whatever the scale
+    assert basis.columns < 1.5 * basis_of(DeviceModel("integrated")).columns
+
+
+def test_a_basis_stays_where_the_file_tells_the_transition() -> None:
+    assert basis_of(DeviceModel("peltier")).centre_degc == (46.0, 76.0)
+
+
+def test_a_gap_leaves_another_memory_only_where_the_drive_may_have_turned() -> None:
+    levels = np.repeat(np.random.default_rng(1).uniform(0.0, 1.0, 60), 25)
+    assert not _turns(levels, 4)
+    assert _turns(levels, 80)
+    assert _turns(0.5 + 0.5 * np.sin(np.arange(1500.0)), 4)
+
+
+def test_samples_behind_a_step_at_an_unknown_instant_do_not_count() -> None:
+    drive = np.repeat([0.0, 1.0, 0.4], 50)
+    drive[[20, 21, 49, 50]] = np.nan  # one gap while it rests, one in which it steps
+    torn = _after_torn_steps(drive, 2.0)
+    assert np.array_equal(np.flatnonzero(torn), np.arange(49, 64))
+
+
+@pytest.mark.parametrize(("excess", "own"), [(4.0, True), (6.0, False)])
+def test_an_excess_far_beyond_the_calibrations_is_not_the_laws(excess, own) -> None:
+    nominal = SimpleNamespace(span={"strain": 1.0})
+    located = SimpleNamespace(nominal=nominal, excess={"strain": excess}, left_out=0.1)
+    judged = SimpleNamespace(after={"strain": 0.02}, floor={"strain": 0.01})
+    assert _is_small(located, judged, Limits()) == own

@@ -96,10 +96,10 @@ def test_an_unchanged_device_agrees_and_nothing_is_named(model, given, finding):
     ("excess", "channel", "left_out", "own", "why"),
     [
         (0.1, 0.2, 0.0, 9.0, "no more than an unchanged device shows"),
-        (0.3, 0.3, 0.0, 1.5, "1.5 times the error of the fit on held-out parts of its calibration, as repeats may be"),
-        (0.3, 0.3, 0.0, 2.5, "parts of its calibration, more than most repeats, but no effect is adequate"),
-        (0.3, 0.3, 0.5, 9.0, "miss of a stretch of their calibration that was left out, 50 %"),
-        (0.2, 0.5, 0.5, 9.0, "miss of a stretch of their calibration that was left out, 50 %"),
+        (0.6, 0.6, 0.0, 1.5, "1.5 times the error of the fit on held-out parts of its calibration, as repeats may be"),
+        (0.6, 0.6, 0.0, 2.5, "parts of its calibration, more than most repeats, but no effect is adequate"),
+        (0.6, 0.6, 0.7, 9.0, "miss of a stretch of their calibration that was left out, 70 %"),
+        (0.3, 1.2, 0.5, 9.0, "miss of a stretch of their calibration that was left out, 50 %"),
     ],
 )  # fmt: skip
 def test_agreement_says_what_the_residual_is_measured_by(unchanged, excess, channel, left_out, own, why):
@@ -113,8 +113,21 @@ def test_agreement_says_what_the_residual_is_measured_by(unchanged, excess, chan
     for verdict in ("agrees", "drifted"):
         decision = replace(unchanged.decision, verdict=verdict, chosen=None, unlike_noise=False)
         told = report._summary(replace(unchanged, located=located, decision=decision), [], [])
-        assert f"the residual exceeds the noise by {100 * excess:.0f} % of its power, " in told
+        assert (
+            f"the residual exceeds noise and misfit of the calibration by {100 * excess:.0f} % of its power, "
+            in told
+        )
         assert told.endswith(f"{why}.")
+
+
+def test_what_the_residual_is_measured_by_is_noise_alone_where_the_fit_missed_nothing(unchanged):
+    located = unchanged.located
+    sensor = replace(
+        located.nominal.model.sensors[TIP_DEFLECTION], noise=located.nominal.noise[TIP_DEFLECTION].level
+    )
+    model = replace(located.nominal.model, sensors={TIP_DEFLECTION: sensor})
+    found = replace(unchanged, located=replace(located, nominal=replace(located.nominal, model=model)))
+    assert report._floor(found) == "the noise"
 
 
 @pytest.mark.parametrize(("sigmas", "told"), [(31.0, True), (9.0, False)])
@@ -372,9 +385,7 @@ def test_a_zero_that_drifts_is_told(model):
     found = study([recorded(2, change=lambda y: y + 0.1 * np.ptp(y) * np.linspace(0.0, 1.0, y.size))], model)
     (effect,) = assemble_diagnosis(found).effects
     assert found.search.options[0].chosen.keys == (f"sensor_zero_drift:{TIP_DEFLECTION}",)
-    assert (
-        "sensor_zero_drift" in (effect.id, *effect.siblings) and effect.family == "sensor:stroke"
-    )
+    assert "sensor_zero_drift" in (effect.id, *effect.siblings) and effect.family == "sensor:stroke"
 
 
 def test_a_rest_between_the_steps_of_a_converter_is_no_excess(model):

@@ -82,7 +82,7 @@ def test_time_constant_is_as_uncertain_as_the_excitation_leaves_it():
         result = fit_device([device.simulate(current, seed=1)], "integrated")
         found = result.model.scalars["thermal.time_constant"]
         assert abs(found / true - 1.0) < tolerance
-        assert any("small steps" in note for note in result.notes) == warned
+        assert any("no step of the drive is large" in note for note in result.notes) == warned
         assert (result.model.uncertainty["thermal.time_constant"][0] > 0.01 * true) == warned
 
 

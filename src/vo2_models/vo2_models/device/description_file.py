@@ -78,7 +78,8 @@ def check_document(document: Any, where: str) -> Document:
         alike = [channel for channel, one in responses.items() if one["scale"] == scale]
         if len(alike) > 1:
             raise ValueError(
-                f"{where}: responses: found {' and '.join(alike)} with scale {scale}, need one of each scale at most"
+                f"{where}: responses: found {' and '.join(alike)} with scale {scale}, need one response of each "
+                "scale at most: log10 for a resistance, also one that changes little (the default in ohm), linear for what moves"
             )
     for key, channel in found.get("sensing", {}).items():
         if channel not in responses:

@@ -76,7 +76,7 @@ def _reversed(part: Part, response: Response) -> str:
 
 def _check_films(started: Sequence[tuple[Part, Response]], nominal: Nominal) -> None:
     """Raise where resistances on both sides of the loops are those of two films: a bad contact changes one side alone."""
-    low, high = loop_ends(nominal.device)
+    low, high = loop_ends(nominal.model)
     levels = []
     for part, response in started:
         if RESISTANCE not in part.channels:

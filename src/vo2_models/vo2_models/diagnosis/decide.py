@@ -288,8 +288,10 @@ def _with_constants_held(problem: LinearisedProblem) -> LinearisedProblem:
 
 
 def _is_small(located: Located, judged: HeldOut, limits: Limits) -> bool:
-    """Whether every channel's error beyond its noise is one that fitted loops make."""
+    """Whether every channel's error beyond its noise is one that fitted loops make, of the calibration too."""
     span = located.nominal.span
+    if max(located.excess.values()) > limits.unlike_law * (1.0 + located.left_out):
+        return False
     return all(
         judged.after[c] ** 2 - judged.floor[c] ** 2 < (limits.law_misfit * span[c]) ** 2 for c in judged.after
     )

@@ -187,7 +187,7 @@ def _prior_shape(nominal: Nominal, channel: str, basis: EnrichmentBasis) -> Loop
 
 def _loop_shape(nominal: Nominal, channel: str, chosen: LoopShape | None) -> LoopShape:
     """Posterior of one channel, its hyperparameters one after the other by their marginal likelihood."""
-    basis, digest = basis_of(nominal.device), nominal.digest
+    basis, digest = basis_of(nominal.model), nominal.digest
     if digest is None:
         return _prior_shape(nominal, channel, basis)
     wide = replace(basis, local=LOCAL)

@@ -45,6 +45,7 @@ __all__ = [
     "judged",
     "rounded_with_noise",
     "span_of",
+    "transition_of",
 ]
 
 Floats = NDArray[np.float64]
@@ -54,6 +55,14 @@ TONES = 40
 """Tones of a staircase that are kept."""
 FILMS = 8
 """Simulations of the film that are kept: hypotheses about what is behind it ask for the same ones again."""
+MESH = 400
+"""Temperatures along a branch of the fitted major loop."""
+SCATTER = 0.28
+"""Standard deviation of the loop's width over the material, as a share of it: that of the shipped devices."""
+NEAR, WIDEST = 2.5, 2.0
+"""Standard deviations of centre and half width that lie within a basis that is placed as for the shipped devices."""
+REACH = 4.0
+"""Standard deviations of the centre on both sides that another basis reaches over."""
 FAR = 1e15
 """Value at which a simulation that runs away is held: beyond those of any instrument, also in pascals or counts."""
 THERMAL = {
@@ -352,30 +361,72 @@ def _steps_between(chain: Simulation, dt: float) -> int:
     return FINE if any(record.between_samples or "delay" in record.hooks for record in before) else 1
 
 
-def basis_of(device: str) -> EnrichmentBasis:
-    """Return the basis of the loop-shape correction of a device, placed where its preset's domains are.
+def transition_of(model: DeviceModel) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return mean and standard deviation over the material of the transition on heating [degC, K], and of the loop's width [K].
+
+    A device's file may tell them. Else they are those of the fitted loop: on a major loop, the temperatures at which half
+    of it is done, and half of the way from 16 to 84 per cent. Of a model without loops what its file leaves open stands.
 
     Parameters
     ----------
-    device : preset or path of a device file
+    model : fitted simulation
     """
-    nominal = preset(device)
-    heating, width = nominal.heating, nominal.width
+    own = model.description
+    law = next((law for law in (model.resistance, model.deflection) if law.present), None)
+    if law is None or not own.has_body or own.tells("transition"):
+        return own.heating, own.width
+    cold, hot = sorted(own.steady_temperature(i) for i in own.operating_range)
+    way = np.linspace(min(cold, own.ambient), hot, MESH)
+    both = np.concatenate([way, way[::-1]])
+    output = law.run(both) - law.polynomial_part(both)
+    quantiles = []
+    for branch in (output[:MESH], output[MESH:][::-1]):
+        if branch[-1] == branch[0]:
+            return own.heating, own.width
+        share = np.maximum.accumulate((branch - branch[0]) / (branch[-1] - branch[0]))
+        quantiles.append(np.interp((0.16, 0.5, 0.84), share, way))
+    up, down = quantiles
+    width = max(float(up[1] - down[1]), way[1] - way[0])
+    return (float(up[1]), float(0.5 * (up[2] - up[0]))), (width, SCATTER * width)
+
+
+def basis_of(model: DeviceModel) -> EnrichmentBasis:
+    """Return the basis of the loop-shape correction of a device, placed where its loops are.
+
+    Parameters
+    ----------
+    model : fitted simulation
+    """
+    nominal = model.description
+    heating, width = transition_of(model)
     cold, hot = sorted(nominal.steady_temperature(i) for i in nominal.operating_range)
     basis = EnrichmentBasis(
         typical_centre=(heating[0] - 0.5 * width[0], heating[1]),
         typical_half_width=(0.5 * width[0], 0.5 * width[1]),
         temperature_degc=(min(cold, nominal.ambient) - 5.0, hot + 10.0),
     )
-    # loops over a drive may be anywhere in its range
-    return basis if nominal.has_body else replace(basis, temperature_degc=(cold, hot)).over(cold, hot)
+    if not nominal.has_body:  # loops over a drive may be anywhere in its range
+        return replace(basis, temperature_degc=(cold, hot)).over(cold, hot)
+    centre, spread = basis.typical_centre
+    widest = basis.typical_half_width[0] + WIDEST * basis.typical_half_width[1]
+    low, high = basis.centre_degc
+    near = low <= centre - NEAR * spread and centre + NEAR * spread <= high and widest <= basis.half_width_k
+    if near or nominal.tells("transition"):
+        return basis
+    reach = max(REACH * spread, 0.5 * (high - low) * widest / basis.half_width_k)
+    return basis.over(centre - reach, centre + reach)
 
 
-def loop_ends(device: str) -> tuple[float, float]:
-    """Temperatures [degC] below and above which a device of this kind has next to no memory."""
-    nominal = preset(device)
-    spread = 2.5 * nominal.heating[1]
-    return nominal.heating[0] - nominal.width[0] - spread, nominal.heating[0] + spread
+def loop_ends(model: DeviceModel) -> tuple[float, float]:
+    """Temperatures [degC] below and above which a device of this kind has next to no memory.
+
+    Parameters
+    ----------
+    model : fitted simulation
+    """
+    heating, width = transition_of(model)
+    spread = 2.5 * heating[1]
+    return heating[0] - width[0] - spread, heating[0] + spread
 
 
 def span_of(device: str) -> dict[str, float]:

@@ -14,6 +14,7 @@ from vo2_models.diagnosis.current_reading import as_commanded
 from vo2_models.diagnosis.nominal import Nominal, drive_of, judged
 from vo2_models.effects import effects
 from vo2_models.effects.adc_quantization import value_step
+from vo2_models.identification.grid import held
 from vo2_models.identification.read_in_time import read_in_time
 from vo2_models.recording import (
     COMMANDED_CURRENT,
@@ -37,6 +38,10 @@ FLAT = 0.01
 """From this share of the way from another sample to a flat one on a moment counts as flat."""
 WHOLE = 4.0
 """Ratio of squared distances from the command of samples that come early and late, from which one of them reads another one."""
+TORN, SETTLED = 0.02, 6.0
+"""Share of its range by which a drive steps in a gap, and time constants after which its instant no longer matters."""
+BEYOND = 0.05
+"""Share of its range by which a drive goes beyond both ends of a gap that leaves the loops another memory."""
 AWAY = 0.5
 """Share of its range by which the drive of a device without body must be able to move in a gap for that: where it goes
 from one end of the gap to the other without a turn, the loops are as if they had seen it."""
@@ -164,6 +169,10 @@ def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") 
         size = step / (np.log(10) * float(np.quantile(values, 0.1))) if channel == RESISTANCE else step
         if channel in nominal.noise and size > 2.0 * nominal.noise[channel].level:
             comb[channel] = step
+    torn = _after_torn_steps(
+        drive, nominal.model.scalars["thermal.time_constant"] / recording.sample_period_s
+    )
+    valid = {channel: good & (~torn | (channel == HEATER_CURRENT)) for channel, good in valid.items()}
     evident, flat = _evident(raw, recording.time_s, tuple(observed))
     for masks in flat.values():
         valid |= {channel: valid[channel] & ~mask for channel, mask in masks.items()}
@@ -207,6 +216,17 @@ def _evident(
     return found, flat
 
 
+def _after_torn_steps(drive: Floats, lag: float) -> NDArray[np.bool_]:
+    """Samples (n,) that follow a step of the drive whose instant is missing, within `SETTLED` time constants of `lag` samples."""
+    torn = np.zeros(drive.size, dtype=np.bool_)
+    known = np.flatnonzero(np.isfinite(drive))
+    steps = np.abs(np.diff(drive[known])) > TORN * np.ptp(drive[known])
+    for before, after in zip(known[:-1][steps], known[1:][steps], strict=True):
+        if after > before + 1:
+            torn[before + 1 : after + 1 + int(np.ceil(SETTLED * lag))] = True
+    return torn
+
+
 def _longest_blind(drive: Floats, nominal: Nominal, dt: float) -> tuple[tuple[int, int], ...]:
     """First and last sample, beyond which nothing is missing, of gaps in which the film could go anywhere and back."""
     missing = np.concatenate([[False], ~np.isfinite(drive), [False]])
@@ -216,9 +236,24 @@ def _longest_blind(drive: Floats, nominal: Nominal, dt: float) -> tuple[tuple[in
     )
     long = max(BLIND, 0.5 * nominal.model.scalars["thermal.time_constant"] / dt)
     gaps = [(int(b), int(e)) for b, e in zip(begin, end, strict=True) if e - b > long]
-    if not preset(nominal.device).has_body:
-        gaps = [(b, e) for b, e in gaps if _wanders(drive, e - b)]
-    return tuple(gaps)
+    away = _turns if preset(nominal.device).has_body else _wanders
+    return tuple((b, e) for b, e in gaps if away(drive, e - b))
+
+
+def _turns(logged: Floats, samples: int) -> bool:
+    """Whether a drive goes beyond both ends of so many missing samples, by `BEYOND` of its range, one time in ten.
+
+    What stays between its ends leaves no memory of its own: a body smooths it, and a loop forgets all but extremes.
+    """
+    known = held(logged)
+    if known.size < samples + 2:
+        return True
+    windows = np.lib.stride_tricks.sliding_window_view(known, samples + 2)
+    first, last = windows[:, 0], windows[:, -1]
+    beyond = np.maximum(
+        windows.max(axis=1) - np.maximum(first, last), np.minimum(first, last) - windows.min(axis=1)
+    )
+    return not np.quantile(beyond, 0.9) < BEYOND * np.ptp(known)
 
 
 def _wanders(logged: Floats, samples: int) -> bool:

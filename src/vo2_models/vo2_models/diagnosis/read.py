@@ -268,7 +268,7 @@ def _mask_after_gaps(
     started: Sequence[tuple[Part, Response]], nominal: Nominal, findings: Sequence[Finding]
 ) -> tuple[list[Part], list[Finding]]:
     """Leave out what follows a long gap until the loops have forgotten it: until the film was outside of them."""
-    low, high = loop_ends(nominal.device)
+    low, high = loop_ends(nominal.model)
     parts, lost, count = [], 0, 0
     for part, response in started:
         known = np.ones(part.size, dtype=bool)

@@ -30,7 +30,7 @@ from vo2_models.diagnosis.result import (
 )
 from vo2_models.diagnosis.stages import Study
 from vo2_models.effects.record import CHOICE
-from vo2_models.recording import TIP_DEFLECTION
+from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
 __all__ = [
     "MODEL_DISCREPANCY",
@@ -46,6 +46,8 @@ __all__ = [
 Floats = NDArray[np.float64]
 OTHERS = 4
 """Sets of constants, that which is told among them, up to which all are written out."""
+MISFITTED = 1.5
+"""Times a sensor's noise from which what is taken for noise holds misfit of the calibration too."""
 LOST = 2.0
 """So many times its chi-square may an explanation leave in the problem without effects to be compared with others there."""
 EXACT = 1e-3
@@ -731,25 +733,37 @@ def _why_enough(study: Study) -> str:
     return "no more than an unchanged device shows"
 
 
+def _floor(study: Study) -> str:
+    """What the residual is measured by: noise alone, or with it what the fit missed of its own calibration."""
+    nominal = study.located.nominal
+    for channel in study.located.excess:
+        sensor = nominal.model.sensors.get(channel)
+        noise = sensor.noise / (np.log(10.0) if channel == RESISTANCE else 1.0) if sensor else 0.0
+        if 0.0 < MISFITTED * noise < nominal.noise[channel].level:
+            return "noise and misfit of the calibration"
+    return "the noise"
+
+
 def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -> str:
     """The answer in two or three sentences."""
     decision, excess = study.decision, study.located.excess
     power = 100 * max(study.located.total_excess, 0.0)
     if decision.verdict == "agrees":
         return (
-            f"Simulation and recording agree{_of_what(study)}{_refitted(study)}: the residual exceeds the noise by "
-            f"{power:.0f} % of its power, {_why_enough(study)}.{_taken_up(study)}"
+            f"Simulation and recording agree{_of_what(study)}{_refitted(study)}: the residual exceeds {_floor(study)} "
+            f"by {power:.0f} % of its power, {_why_enough(study)}.{_taken_up(study)}"
         )
     moved = _moved_in_words(study, _moved(study))
     if decision.verdict == "drifted":
         return (
             f"The same physics, constants have moved{_of_what(study)}: {moved}. With them simulation and recording agree: the "
-            f"residual exceeds the noise by {power:.0f} % of its power, {_why_enough(study)}."
+            f"residual exceeds {_floor(study)} by {power:.0f} % of its power, {_why_enough(study)}."
         )
     where = max(excess, key=lambda c: excess[c])
     family = effects[0].family
     head = (
-        f"Simulation and recording differ, most in {where} ({1 + excess[where]:.3g} times the noise power)."
+        f"Simulation and recording differ, most in {where} ({1 + excess[where]:.3g} times the power of {_floor(study)}, after "
+        "a refit of what another day may move)."
     )
     if decision.held is not None:
         head = "Simulation and recording differ: an effect explains with none moved what constants would have to move for."

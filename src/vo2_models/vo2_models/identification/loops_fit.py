@@ -135,23 +135,27 @@ def fit_loops(
         return replace(loops, notes=(note,))
     loops = _fit_together(model, grids, loops, values)
     std = _thermal_spread(replace(model, scalars=loops.scalars), grids, loops)
-    if _largest_jump(model, grids) > STAIRCASE:
+    jumps = _jumps(model, grids)
+    if np.quantile(jumps, 0.995) > STAIRCASE:
         return replace(loops, std=std)
     tau = loops.scalars["thermal.time_constant"]
     std["thermal.time_constant"] = max(std["thermal.time_constant"], STAIRCASE_BIAS * tau)
+    large = int(np.count_nonzero(jumps > STAIRCASE))
+    wanted = int(np.ceil(0.005 * jumps.size))
     note = (
-        "the current moves in small steps only, which a slightly wrong loop imitates: the time constant may be "
-        f"{100 * STAIRCASE_BIAS:.1f} % off; some large steps, such as random levels, would settle it"
+        f"{f'only {large} steps of the drive are' if large else 'no step of the drive is'} large, and small ones a slightly "
+        f"wrong loop imitates: the time constant may be {100 * STAIRCASE_BIAS:.1f} % off; steps of more than "
+        f"{100 * STAIRCASE:.0f} % of the range, {wanted} or more, such as random levels, would settle it"
     )
     return replace(loops, std=std, notes=(note,))
 
 
-def _largest_jump(model: DeviceModel, grids: Sequence[GriddedRecording]) -> float:
-    """Largest step of the steady temperature between neighbouring samples, as a share of its range (99.5 % quantile)."""
+def _jumps(model: DeviceModel, grids: Sequence[GriddedRecording]) -> Floats:
+    """Steps (n,) of the steady temperature between neighbouring samples, as a share of its range."""
     linear, square = model.scalars["thermal.linear_gain"], model.scalars["thermal.square_gain"]
     targets = [linear * grid.current + square * np.square(grid.current) for grid in grids]
     jumps = np.concatenate([np.abs(np.diff(target)) for target in targets])
-    return float(np.quantile(jumps, 0.995) / np.ptp(np.concatenate(targets)))
+    return np.asarray(jumps / np.ptp(np.concatenate(targets)))
 
 
 _THERMAL = ("thermal.time_constant", "driver.dead_time")

@@ -20,7 +20,7 @@ from vo2_models.identification.command_delay import command_delay
 from vo2_models.identification.completion import completed
 from vo2_models.identification.device_fit import PLAYS, FitResult, fit_device
 from vo2_models.identification.digest import LAGS, digest_of, digest_of_drive
-from vo2_models.identification.enrichment import LOCAL, EnrichmentBasis
+from vo2_models.identification.enrichment import LOCAL
 from vo2_models.identification.grid import on_grid
 from vo2_models.identification.loop_law import PLAYS as PLAYS_LAW
 from vo2_models.identification.loop_law import with_law
@@ -171,7 +171,7 @@ def _digest(result: FitResult, recording: Recording, first: bool) -> dict[str, V
     )
     if not first or result.settled or path.size < 100:
         return {}
-    basis = EnrichmentBasis()
+    basis = basis_of(result.model)
     reach = basis.half_width_k
     inside = (basis.centre_degc[0] - reach, basis.centre_degc[1] + reach)
     # the model's y is -log10 R
@@ -235,7 +235,6 @@ def _by_lag(model: DeviceModel, recording: Recording) -> dict[str, tuple[Floats,
 
 def _noise(path: Floats, residual: Floats, result: FitResult, channel: str) -> tuple[float, ...]:
     """Innovation and colour of a channel's noise: of what even a richer loop shape leaves of the residual."""
-    device = result.model.device
     good = np.isfinite(residual)
     if np.count_nonzero(good) < 100:
         return ()
@@ -243,7 +242,9 @@ def _noise(path: Floats, residual: Floats, result: FitResult, channel: str) -> t
     sensor = result.model.sensors.get(channel)
     level = sensor.noise / (np.log(10.0) if channel == RESISTANCE else 1.0) if sensor else 0.0
     if channel != STAGE_TEMPERATURE and level > 0.0:
-        features = replace(basis_of(device), local=LOCAL).features(path, span=span_of(device)[channel])
+        features = replace(basis_of(result.model), local=LOCAL).features(
+            path, span=span_of(result.model.device)[channel]
+        )
         used = features[good] / level
         gram = used.T @ used
         gram[np.diag_indices_from(gram)] += 1.0

@@ -74,7 +74,7 @@ class DictionaryFit:
     Attributes
     ----------
     dictionary : the plays
-    weights : (N,) not negative, in units of the channel
+    weights : (N,) in units of the channel, not negative unless that was asked for
     polynomial : (degree + 1,) in powers of (path - 60) / 30
     misfit : root mean square of the residual on held-out parts
     held_out : (n,) residual of each sample in the fit that was not given it; NaN where there is no value
@@ -127,6 +127,7 @@ def fit_dictionary(
     most: int = 4000,
     fold: NDArray[np.int64] | None = None,
     late: Late | None = None,
+    signed: bool = False,
 ) -> DictionaryFit:
     """Fit weights and polynomial; the ridge is the one that predicts held-out blocks best.
 
@@ -139,6 +140,7 @@ def fit_dictionary(
     dictionary : plays on a grid
     fold : (n,) part that each sample is held out with, -1 for none; by default blocks of time
     late : what the plays, but not the polynomial, go through
+    signed : whether weights may be negative, as where a response turns within the loop (a butterfly)
 
     Returns
     -------
@@ -172,7 +174,7 @@ def fit_dictionary(
     def solved(normal: Floats, side: Floats, ridge: float) -> Floats:
         damped = normal.copy()
         damped[np.diag_indices_from(damped)] += ridge * size
-        return nonnegative_weights(damped, side, plays)
+        return cho_solve(cho_factor(damped), side) if signed else nonnegative_weights(damped, side, plays)
 
     tried = []
     for ridge in _RIDGES:

@@ -124,11 +124,17 @@ def choose_preisach(path: Floats, values: Floats, fold: NDArray[np.int64]) -> Pr
                 break
         return best
 
-    best = min((tried(_LEVEL, share) for share in _SHARES), key=lambda one: one.error)
-    best = min([best, *(tried(level, best.share) for level in _OTHERS)], key=lambda one: one.error)
-    if best.level == max(_OTHERS) and np.count_nonzero(good) >= _FINE_FROM:
-        best = min(best, tried(_FINE, best.share), key=lambda one: one.error)
-    best = min(best, tried(best.level, best.share, False), key=lambda one: one.error)
+    def searched(nonnegative: bool) -> _Trial:
+        best = min((tried(_LEVEL, share, nonnegative) for share in _SHARES), key=lambda one: one.error)
+        others = [tried(level, best.share, nonnegative) for level in _OTHERS]
+        best = min([best, *others], key=lambda one: one.error)
+        if best.level == max(_OTHERS) and np.count_nonzero(good) >= _FINE_FROM:
+            best = min(best, tried(_FINE, best.share, nonnegative), key=lambda one: one.error)
+        return best
+
+    best = searched(True)
+    if tried(best.level, best.share, False).error < best.error:
+        best = searched(False)
     grid = walls(best.level, best.share)
     problem = SmoothProblem.of(inside, filled, grid, good, "triangle", None)
     masses, constant = problem.solve(

@@ -9,11 +9,12 @@ Whether the drive heats, and heats the film itself, is `rig_heat`'s.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from vo2_models.device.description import DeviceDescription
@@ -34,7 +35,10 @@ _RELAXED = 0.8
 LAGS = 2.0 ** np.arange(-1, 9)
 _DELAYS = (1, 2, 3, 4, 6, 8, 12, 16)
 """Lags and delays tried first, in sample periods."""
-_STEPS = (0.7, 0.85, 1.15, 1.4)
+_SIGNED = 0.7
+"""The same for weights of either sign, by which a response is told that turns within the loop."""
+_CLOSE = 0.01
+"""Relative accuracy of a lag [1]."""
 _PATIENCE = 3
 """Longer lags are left out once as many in a row were no better than the best: the error has one minimum, or two close by."""
 _COARSE, _FINE = {"centres": 12, "widths": 7}, {"centres": 20, "widths": 10}
@@ -48,10 +52,12 @@ class RigDynamics:
     Attributes
     ----------
     falling : whether the lower saturation is at the upper end of the drive
-    lag, delay, relaxation : [s], of the drive, of the drive, of what has hysteresis behind it; at most one is not zero
+    lag, delay, relaxation : [s], of the drive, of the drive, of what has hysteresis behind it, which has no delay and no
+        lag of the drive besides
     slow_share, slow : part of what the drive does that arrives through a second, slower lag [1], and that lag [s]
     degree : of the memoryless part
     score : sum over the responses of the logarithm of the held-out error
+    near : others that plays on a grid cannot tell from it for certain, such as a lag with and without a delay of a sample
     """
 
     falling: bool = False
@@ -62,6 +68,7 @@ class RigDynamics:
     slow: float = 0.0
     degree: int = DEGREES[0]
     score: float = np.inf
+    near: tuple[RigDynamics, ...] = ()
 
 
 def loop_path(grids: Sequence[GriddedRecording], device: DeviceDescription, dynamics: RigDynamics) -> Floats:
@@ -175,12 +182,13 @@ def choose_dynamics(
     relaxes : whether what has hysteresis may relax; only plays are fitted behind that
     """
     low, high = sorted(device.steady_temperature(v) for v in device.operating_range)
+    signed = False
     plays, sharp = (PlayDictionary.over(low, high, **grid) for grid in (_COARSE, _FINE))
 
     def tried(dynamics: RigDynamics) -> RigDynamics:
         path, late = loop_path(grids, device, dynamics), relaxing(grids, device, dynamics)
         fits = [
-            fit_dictionary(plays, path, y, degree=dynamics.degree, most=_SAMPLES, late=late)
+            fit_dictionary(plays, path, y, degree=dynamics.degree, most=_SAMPLES, late=late, signed=signed)
             for y in values.values()
         ]
         return replace(dynamics, score=float(sum(np.log(max(fit.misfit, 1e-300)) for fit in fits)))
@@ -193,12 +201,17 @@ def choose_dynamics(
                 break
         return better if better.score < simple.score + len(values) * np.log(margin) else simple
 
-    def slow(name: str) -> RigDynamics:
-        start = best(found, [replace(found, **{name: lag}) for lag in lengths])
-        for _ in range(2 if start is not found else 0):
-            near = [tried(replace(start, **{name: getattr(start, name) * step})) for step in _STEPS]
-            start = min([start, *near], key=lambda one: one.score)
-        return start
+    def slow(about: RigDynamics, of: Callable[[float], RigDynamics]) -> RigDynamics:
+        """The best of what a lag makes of `about`, which may be none."""
+        start = best(about, [of(lag) for lag in lengths])
+        if start is about:
+            return about
+        ends = np.log(max(start.lag, start.relaxation)) + np.array([-1.0, 1.0]) * np.log(LAGS[1] / LAGS[0])
+        least = minimize_scalar(
+            lambda logarithm: tried(of(float(np.exp(logarithm)))).score,
+            bounds=ends, method="bounded", options={"xatol": _CLOSE},
+        )  # fmt: skip
+        return min(start, tried(of(float(np.exp(least.x)))), key=lambda one: one.score)
 
     dt, longest = grids[0].dt, max(grid.current.size for grid in grids)
     lengths = [k * dt for k in LAGS if k < 0.1 * longest] if rates else []
@@ -212,6 +225,20 @@ def choose_dynamics(
     # coarse plays leave more of a sharp loop than a lag does
     plays = sharp
     found = tried(found)
+    signed = True
+    mixed = tried(found)
+    signed = mixed.score < found.score + len(values) * np.log(_SIGNED)
+    found = mixed if signed else found
     delays = [replace(found, delay=k * dt) for k in _DELAYS if k < 0.1 * longest]
-    simple = min(slow("lag"), best(found, delays), key=lambda one: one.score)
-    return best(simple, [slow("relaxation")], _RELAXED) if relaxes else simple
+    lagging, late = slow(found, lambda lag: replace(found, lag=lag)), best(found, delays)
+    simple = min(lagging, late, key=lambda one: one.score)
+    # a drive that is logged as it is set acts from the next sample on, and its lag begins there
+    if lagging.lag:
+        delayed = tried(replace(found, delay=dt))
+        both = (lagging, slow(delayed, lambda lag: replace(delayed, lag=lag)))
+        simple = best(simple, both[1:])
+        if simple in both:
+            simple = replace(simple, near=tuple(one for one in both if one is not simple))
+    if signed or not relaxes:
+        return simple
+    return best(simple, [slow(found, lambda lag: replace(found, relaxation=lag))], _RELAXED)
