@@ -759,7 +759,11 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
             f"The same physics, constants have moved{_of_what(study)}: {moved}. With them simulation and recording agree: the "
             f"residual exceeds {_floor(study)} by {power:.0f} % of its power, {_why_enough(study)}."
         )
-    where = max(excess, key=lambda c: excess[c])
+    # as `location` has it, whose shares are of energy; of a short channel the power may be higher
+    energy = {
+        b.channel: b.excess for b in decision.breakdown if b.excess > 0.0 and b.channel in excess
+    } or excess
+    where = max(energy, key=lambda c: energy[c])
     family = effects[0].family
     head = (
         f"Simulation and recording differ, most in {where} ({1 + excess[where]:.3g} times the power of {_floor(study)}, after "
