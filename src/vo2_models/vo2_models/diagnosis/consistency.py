@@ -69,7 +69,10 @@ def _reversed(part: Part, response: Response) -> str:
         return ""
     if len(upside) == len(against) > 1:
         return f"{' and '.join(upside)} run against the simulation: is the sign of heater_current reversed?"
-    return f"{' and '.join(upside)} runs against the simulation: is its sign reversed, is it another column, or late by half a cycle?"
+    return (
+        f"{' and '.join(upside)} runs against the simulation: is its sign reversed, is it another column, "
+        "or late by half a cycle?"
+    )
 
 
 def _check_films(started: Sequence[tuple[Part, Response]], nominal: Nominal) -> None:
