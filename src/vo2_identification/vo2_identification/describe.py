@@ -160,8 +160,9 @@ def drafted(recording: Recording, drive: str | None) -> tuple[Document, list[str
             "operating: the loop runs backwards over the drive, so its range is given from high to low"
         )
     if dynamics.lag or dynamics.delay:
-        kind, size = ("lag", dynamics.lag) if dynamics.lag else ("delay", dynamics.delay)
-        notes.append(f"the responses {kind} behind the drive by about {size:.3g} s; `fit` finds it again")
+        sizes = (("lag", dynamics.lag), ("delay", dynamics.delay))
+        found = " and ".join(f"a {kind} of about {size:.3g} s" for kind, size in sizes if size)
+        notes.append(f"the responses are behind the drive with {found}; `fit` finds it again")
         if chosen == HEATER_CURRENT and dynamics.lag:
             document["body"] = {"kind": "first_order", "time_constant": significant(dynamics.lag, 3)}
     return document, notes

@@ -111,7 +111,7 @@ def fit_rig(
         say("heat in the film", 0.2)
         heat = choose_heat(grids, device, values, dynamics)
     if heat.kind == "drive":
-        heat = RigHeat("drive", _by_the_law(grids, device, values, heat.dynamics))
+        heat = replace(heat, dynamics=_by_the_law(grids, device, values, heat.dynamics))
     dynamics = heat.dynamics
     ends = (high, low) if dynamics.falling else (low, high)
     if ends != device.operating_range:
@@ -181,12 +181,12 @@ def _by_the_law(
     found: RigDynamics,
 ) -> RigDynamics:
     """Which of these and those near them a Preisach law predicts held-out parts with best."""
+    drives = [grid.current for grid in grids]
 
     def score(dynamics: RigDynamics) -> float:
         path = loop_path(grids, device, dynamics)
-        return sum(
-            float(np.log(choose_preisach(path, y, fold_of(np.isfinite(y))).misfit)) for y in values.values()
-        )
+        folds = {role: folds_of_recordings(drives, fold_of(np.isfinite(y))) for role, y in values.items()}
+        return sum(float(np.log(choose_preisach(path, y, folds[role]).misfit)) for role, y in values.items())
 
     return min((found, *found.near), key=score) if found.near and not found.slow_share else found
 
