@@ -5,6 +5,7 @@ from __future__ import annotations
 import resource
 import signal
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -304,6 +305,33 @@ def test_what_came_before_the_stop_is_in_the_bag_though_the_recorder_lags_behind
         _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     assert counted(tmp_path / "bag") == {"/vo2/measurement": sent}
+
+
+class _Stalling:
+    """A recorder that stands still while it looks for topics, is asked to stop meanwhile, and is sent the rest late."""
+
+    failure, met, count, lost = None, frozenset(), 0, 0
+    bag = SimpleNamespace(flush_period_s=0.0)
+
+    def __init__(self, stop):
+        self.stop, self.due, self.heard = stop, np.inf, False
+
+    def idle(self):
+        time.sleep(0.25)
+        self.due = time.monotonic() + 1.2
+        self.stop.is_set = True
+
+    def take(self, *, before_ns=None, most=None):
+        self.heard |= time.monotonic() >= self.due
+        return False
+
+
+def test_a_stall_in_which_the_stop_comes_is_waited_for_wherever_it_was():
+    stop = SimpleNamespace(is_set=False)
+    recorder = _Stalling(stop)
+    options = SimpleNamespace(messages=None, duration=None)
+    stood_still_s = record._take_all(recorder, options, stop, lambda *told: None)
+    assert recorder.heard and 0.25 <= stood_still_s < 2.0
 
 
 @pytest.mark.slow

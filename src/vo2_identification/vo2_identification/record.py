@@ -120,23 +120,43 @@ def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) ->
         leave_graph(None, [] if recorder is None else [recorder])
 
 
+class _Stalls:
+    """How long this process stood still, looked at wherever it may have.
+
+    Attributes
+    ----------
+    now : monotonic time of the last look [s]
+    longest_s : longest time between two looks [s]
+    late_until : monotonic time until which what a stall kept out may be sent again [s]
+    """
+
+    def __init__(self) -> None:
+        self.now = self.late_until = time.monotonic()
+        self.longest_s = 0.0
+
+    def look(self) -> float:
+        """Return the monotonic time [s]."""
+        before, self.now = self.now, time.monotonic()
+        self.longest_s = max(self.longest_s, self.now - before)
+        if self.now - before > _LATE_S:
+            self.late_until = self.now + _SENT_AGAIN_S
+        return self.now
+
+
 def _take_all(recorder: Recorder, options: argparse.Namespace, stop: StopFlag, progress: Progress) -> float:
     """Record until it is time to stop; return the longest time for which this process did not run."""
     period = recorder.bag.flush_period_s
-    started = shown = now = time.monotonic()
+    stalls = _Stalls()
+    started = shown = stalls.now
     count_shown = lost_told = 0
-    stood_still_s, late_until = 0.0, started
     met: set[str] = set()
     while not stop.is_set and recorder.failure is None:
         # waking up for every message would take time from the loop beside it: they wait for each other
         time.sleep(_GATHER_S)
         recorder.take(most=options.messages)
-        before, now = now, time.monotonic()
-        stood_still_s = max(stood_still_s, now - before)
-        if now - before > _LATE_S:
-            late_until = now + _SENT_AGAIN_S
+        now = stalls.look()
         if _enough(recorder, options):
-            return stood_still_s
+            return stalls.longest_s
         if options.duration is not None and now - started >= options.duration:
             break
         if now - shown >= period:
@@ -153,14 +173,14 @@ def _take_all(recorder: Recorder, options: argparse.Namespace, stop: StopFlag, p
                 progress.clear()
                 print(f"record: {lost_told} messages did not arrive so far", file=sys.stderr, flush=True)
     # what was published before the stop belongs into the bag, however long the queue has become
-    stopped_ns, stopped = time.time_ns(), time.monotonic()
-    wait_until = max(stopped + _ARRIVE_S, late_until)
-    while (now := time.monotonic()) < min(wait_until, stopped + _DRAIN_S):
+    stopped_ns, stopped = time.time_ns(), stalls.look()
+    heard = stopped
+    while (now := stalls.look()) < min(max(heard + _ARRIVE_S, stalls.late_until), stopped + _DRAIN_S):
         if recorder.take(before_ns=stopped_ns, most=options.messages):
-            wait_until = max(now + _ARRIVE_S, late_until)
+            heard = now
         else:
             time.sleep(_POLL_S)
-    return stood_still_s
+    return stalls.longest_s
 
 
 def _enough(recorder: Recorder, options: argparse.Namespace) -> bool:
