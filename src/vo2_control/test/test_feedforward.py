@@ -173,3 +173,9 @@ def test_reset_and_bad_reference():
         ThermalPath(22.0, 0.0, 0.0, 1.0)
     with pytest.raises(ValueError, match="response_s"):
         InverseFeedforward(inverse("play"), THERMAL, LIMITS, PERIOD, response_s=-1.0)
+
+
+def test_a_film_that_heats_itself_has_no_feedforward(identified):
+    parameters = {**identified[1], "model.thermal.power_gain": 100.0}
+    with pytest.raises(ValueError, match=r"model\.thermal\.power_gain: found 100 K/W.*without feedforward"):
+        feedforward_from_model(parameters, PERIOD)

@@ -286,9 +286,14 @@ def feedforward_from_model(
 
     Raises
     ------
-    ValueError : no model, or a model without deflection.
+    ValueError : no model, a model without deflection, or one whose film is its own heater.
     """
     model = DeviceModel.from_parameters(parameters)
+    if gain := model.scalars["thermal.power_gain"]:
+        raise ValueError(
+            f"model.thermal.power_gain: found {gain:.4g} K/W, need a heater of constant resistance: the film heats itself, "
+            "and the drive for a temperature depends on its state; control it without feedforward"
+        )
     if not model.deflection.present:
         raise ValueError(
             "model.deflection: found no law, need one to invert; fit a recording with deflection"

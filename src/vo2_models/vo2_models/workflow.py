@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from numpy.typing import ArrayLike
 
+from vo2_models.device.description import preset
 from vo2_models.device.ground_truth import truth
 from vo2_models.device.model import DeviceModel
 from vo2_models.identification.model_fit import fit_model
@@ -56,10 +57,10 @@ def simulate(
     (3, True)
     """
     if isinstance(device, str):
-        simulation = truth(device).with_effects(effects or {})
-    else:
-        simulation = DeviceModel.from_parameters(device).simulation.with_effects(effects or {})
-    return simulation.simulate(current, dt=dt, seed=seed, noise=noise)
+        return truth(device).with_effects(effects or {}).simulate(current, dt=dt, seed=seed, noise=noise)
+    model = DeviceModel.from_parameters(device)
+    found = model.simulation.with_effects(effects or {}).simulate(current, dt=dt, seed=seed, noise=noise)
+    return model.description.in_channels(found)
 
 
 def fit(
@@ -75,8 +76,8 @@ def fit(
 
     Parameters
     ----------
-    recordings : of one device, each from a cold rest or settled at its first current
-    device : preset that the device is like
+    recordings : of one device, with the channels that it has; each from a cold rest or settled at its first current
+    device : preset that the device is like, or the path of a device file
     progress : called with what is being done and the share done, 0 to 1
 
     Returns
@@ -87,7 +88,8 @@ def fit(
     ------
     ValueError : recordings that cannot be fitted; the message says why.
     """
-    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    given = [recordings] if isinstance(recordings, Recording) else recordings
+    given = [preset(device).understood(recording) for recording in given]
     result, parameters = fit_model(given, device, progress=progress)
     for note in result.notes:
         warnings.warn(note, UserWarning, stacklevel=2)

@@ -8,6 +8,7 @@ names its own channels and units; a recording is translated to roles where it is
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -110,6 +111,8 @@ class DeviceDescription:
     has_body : whether a heated body stands between drive and responses
     ambient : [degC]; without body the origin of the loop coordinate
     linear_gain, square_gain : steady temperature rise per drive [K/A] and per squared drive [K/A^2]
+    power_gain : steady temperature rise per electrical power in the film itself [K/W], 0 where it is not its own heater;
+        `square_gain` is then that of the geometric middle of its resistance
     time_constant, dead_time : of the heated body [s]
     responses : measured responses, film and tip role at most once each
     temperature_channel : measured temperature of the body, empty without
@@ -137,6 +140,7 @@ class DeviceDescription:
     ambient: float
     linear_gain: float
     square_gain: float
+    power_gain: float
     time_constant: float
     dead_time: float
     responses: tuple[Response, ...]
@@ -253,6 +257,11 @@ class DeviceDescription:
         }
         return replace(recording, channels=channels)
 
+    def understood(self, recording: Recording) -> Recording:
+        """Return a recording in roles, whether its channels are called as this device's or by their roles already."""
+        own = set(self.names.values()) - set(self.names)
+        return self.in_roles(recording) if any(name in recording for name in own) else recording
+
     def in_channels(self, recording: Recording) -> Recording:
         """Return a recording in roles with the names of this device's channels: the inverse of `in_roles`."""
         names = {**self.names, COMMANDED_CURRENT: f"commanded_{self.drive_channel}"}
@@ -341,12 +350,13 @@ def described(document: Any, where: str) -> DeviceDescription:
     limits = drive["limits"]
     operating = drive.get("operating", limits)
     period = sampling.get("period", 1.0)
-    body = _body(checked.get("body", {}), drive["unit"], operating, period)
     responses = tuple(
         Response(channel, one["unit"], RESISTANCE if one["scale"] == "log10" else TIP_DEFLECTION)
         for channel, one in checked["responses"].items()
     )
     entries = {r.role: checked["responses"][r.channel] for r in responses}
+    film_range = entries.get(RESISTANCE, {}).get("range", (1.0, 10.0))
+    body = _body(checked.get("body", {}), drive["unit"], operating, period, film_range)
     noise = {role: one["noise"] for role, one in entries.items() if "noise" in one}
     temperature = checked.get("temperature", {})
     if "noise" in temperature:
@@ -375,7 +385,7 @@ def described(document: Any, where: str) -> DeviceDescription:
         responses=responses,
         temperature_channel=temperature.get("channel", ""),
         sensing=(sensing.get("from", ""), sensing.get("to", "")),
-        resistance_range=entries.get(RESISTANCE, {}).get("range", (1.0, 10.0)),
+        resistance_range=film_range,
         deflection_extent=extent,
         deflection_range=extent[1] - extent[0],
         noise=noise,
@@ -390,10 +400,20 @@ def described(document: Any, where: str) -> DeviceDescription:
     )
 
 
-def _body(entry: Document, unit: str, operating: tuple[float, float], period: float) -> dict[str, Any]:
+def _body(
+    entry: Document,
+    unit: str,
+    operating: tuple[float, float],
+    period: float,
+    film_range: tuple[float, float],
+) -> dict[str, Any]:
     """Thermal numbers of a device; a temperature that drives stays what it is, any other drive is laid over `_LOOP`."""
     has_body = entry.get("kind") == "first_order"
     heat = {name: entry[name] for name in ("ambient", "linear_gain", "square_gain") if name in entry}
+    power_gain = entry.get("power_gain", 0.0)
+    if power_gain:
+        middle = math.sqrt(film_range[0] * film_range[1])
+        heat["square_gain"] = power_gain * (middle if unit == "A" else 1.0 / middle)
     if not heat.get("linear_gain") and not heat.get("square_gain"):
         span = operating[1] - operating[0]
         if unit == "degC" and _KELVINS[0] <= span <= _KELVINS[1]:
@@ -406,6 +426,7 @@ def _body(entry: Document, unit: str, operating: tuple[float, float], period: fl
         "ambient": heat.get("ambient", 22.0),
         "linear_gain": heat.get("linear_gain", 0.0),
         "square_gain": heat.get("square_gain", 0.0),
+        "power_gain": power_gain,
         "time_constant": entry.get("time_constant", 10.0 * period if has_body else period / NEUTRAL_STEPS),
         "dead_time": entry.get("dead_time", 0.0),
     }

@@ -68,6 +68,7 @@ def check_document(document: Any, where: str) -> Document:
     if not responses:
         raise ValueError(f"{where}: responses: found none, need at least one")
     _units(found, where)
+    _own_heat(found, where)
     for channel, one in responses.items():
         one.setdefault("scale", "log10" if one["unit"] == "ohm" else "linear")
         if one["scale"] == "log10" and one.get("range", (1.0,))[0] <= 0.0:
@@ -87,6 +88,23 @@ def check_document(document: Any, where: str) -> Document:
                 f"{where}: sensing: {key}: found {channel!r}, need a response: {', '.join(responses)}"
             )
     return found
+
+
+def _own_heat(found: Document, where: str) -> None:
+    """Refuse a film that is its own heater on a device whose film or drive could not be."""
+    body, unit = found.get("body", {}), found["drive"]["unit"]
+    if "power_gain" not in body:
+        return
+    place = f"{where}: body: power_gain"
+    others = [key for key in ("linear_gain", "square_gain") if body.get(key)]
+    if others:
+        raise ValueError(
+            f"{place}: found {' and '.join(others)} beside it, need one of them: what heats the body"
+        )
+    if unit not in ("A", "V"):
+        raise ValueError(f"{place}: found a drive in {unit!r}, need A or V: the power is I^2 R or V^2/R")
+    if not any(one["unit"] == "ohm" for one in found["responses"].values()):
+        raise ValueError(f"{place}: found no response in ohm, need the resistance that the drive heats")
 
 
 def _units(found: Document, where: str) -> None:
@@ -200,6 +218,7 @@ _KEYS: dict[str, Check] = {
             "ambient": _ANY,
             "linear_gain": _ANY,
             "square_gain": _NOT_NEGATIVE,
+            "power_gain": _POSITIVE,
             "time_constant": _POSITIVE,
             "dead_time": _NOT_NEGATIVE,
         },

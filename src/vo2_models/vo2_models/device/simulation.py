@@ -75,7 +75,8 @@ def nominal_coefficients(device: DeviceDescription) -> Floats:
     c[Coefficient.RANGE_LOW], c[Coefficient.RANGE_HIGH] = device.current_range
     c[Coefficient.AMBIENT] = device.ambient
     c[Coefficient.LINEAR_GAIN] = device.linear_gain
-    c[Coefficient.SQUARE_GAIN] = device.square_gain
+    c[Coefficient.SQUARE_GAIN] = 0.0 if device.power_gain else device.square_gain
+    c[Coefficient.POWER_GAIN] = device.power_gain
     c[Coefficient.TIME_CONSTANT] = device.time_constant
     c[Coefficient.DEAD_TIME] = device.dead_time
     c[Coefficient.VOLTAGE] = float(device.drive_unit == "V")
@@ -198,7 +199,8 @@ class Simulation:
             if "delay" in record.hooks:
                 c[Coefficient.DEAD_TIME] += record.hooks["delay"](**values)
         steps = math.ceil(self.steps_per_constant * period / c[Coefficient.TIME_CONSTANT]) if feedback else 1
-        c[Coefficient.SUBSTEPS] = float(max(steps, 1))
+        # the power in a film follows its resistance by a step: of a body's sample no more than a part
+        c[Coefficient.SUBSTEPS] = float(max(steps, FINE if own_heat and preset(self.device).has_body else 1))
         if c[Coefficient.DEAD_TIME] > (CURRENT_LINE - 2) * period:
             raise ValueError(
                 f"dead time: found {c[Coefficient.DEAD_TIME]:g} s, need at most {CURRENT_LINE - 2} sample periods"

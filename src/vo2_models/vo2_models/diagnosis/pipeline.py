@@ -38,7 +38,7 @@ def diagnose(
 
     Parameters
     ----------
-    recordings : of one device, taken together
+    recordings : of one device, with the channels that it has, taken together
     model : flat `model.*` parameters as `load_model_parameters` reads them
     calibration : recordings that the model was fitted to, where what is looked for may have been there already: nominal
         device and effect are then fitted together over all recordings. Without, an effect is a change since
@@ -83,6 +83,9 @@ def study(
     began = time.perf_counter()
     clock, limits = Clock(progress, 700), limits or Limits()
     nominal = model if isinstance(model, Nominal) else Nominal.from_parameters(model)
+    recordings, calibration = (
+        [nominal.model.description.understood(one) for one in part] for part in (recordings, calibration)
+    )
     # the cores run fits in parallel: threads inside BLAS would only wait for each other
     with threadpool_limits(1, user_api="blas"):
         reading = read(

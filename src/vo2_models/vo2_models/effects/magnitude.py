@@ -37,7 +37,7 @@ def _has(device: DeviceDescription) -> set[str]:
     found = set()
     if device.has_body:
         found.add("body")
-        if device.square_gain:
+        if device.square_gain and not device.power_gain:
             found.add("heater")
         if device.linear_gain and device.measures_temperature:
             found.add("pump")

@@ -60,7 +60,8 @@ def check_calibration(
             raise ValueError(f"{name}: found {len(recording)} samples, need at least {least}")
         if found := impossible(recording, device):
             raise ValueError(f"{name}: {'; '.join(found)}")
-        if nominal.has_body and recording.sample_period_s < nominal.shortest_period / 2:
+        known = nominal.has_body and nominal.tells("sampling")
+        if known and recording.sample_period_s < nominal.shortest_period / 2:
             raise ValueError(
                 f"{name}: found a sample every {recording.sample_period_s:.3g} s, need at least "
                 f"{nominal.shortest_period / 2:.3g} s for device {nominal.id}; check the time column and its unit"

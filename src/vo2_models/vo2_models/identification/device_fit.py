@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from vo2_models.device.description import preset
+from vo2_models.device.description import DeviceDescription, preset
 from vo2_models.device.model import DeviceModel, SensorModel
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.bank_fit import evaluate
@@ -86,6 +86,9 @@ def fit_device(
     say("thermal model", 0.0)
     notes: list[str] = []
     model = DeviceModel(device)
+    if nominal.power_gain:
+        grids, gain = _heating(grids, nominal)
+        model = replace(model, scalars={**model.scalars, **gain})
     thermal_std: dict[str, float] = {}
     if all(STAGE_TEMPERATURE in grid.measured for grid in grids):
         model, thermal_std = _fit_stage(model, grids)
@@ -102,7 +105,50 @@ def fit_device(
         )
     notes += best.notes
     say("noise and uncertainty", 0.9)
-    return _assemble(model, best, grids, settled, thermal_std, notes)
+    found = _assemble(model, best, grids, settled, thermal_std, notes)
+    return (
+        _own_heater(found, gain["thermal.square_gain"] / nominal.power_gain) if nominal.power_gain else found
+    )
+
+
+def _heating(
+    grids: Sequence[GriddedRecording], nominal: DeviceDescription
+) -> tuple[list[GriddedRecording], dict[str, float]]:
+    """Recordings whose drive heats a constant resistance as theirs heats the one measured, and the gains that go with it.
+
+    I^2 R = I'^2 R0 with I' = I sqrt(R / R0), of a voltage V^2 / R = V'^2 / R0: R0 is that end of what was measured at which
+    no drive becomes larger. Over a sample the power at its two ends is averaged.
+    """
+    sign = 1.0 if nominal.drive_unit == "A" else -1.0
+    powers = []
+    for grid in grids:
+        y = grid.measured.get(RESISTANCE, np.empty(0))
+        seen = np.flatnonzero(np.isfinite(y))
+        if not seen.size:
+            raise ValueError(
+                f"recordings: found one without {nominal.names[RESISTANCE]}, need it in each: the power in it heats "
+                "(body: power_gain in the device file)"
+            )
+        power = 10.0 ** (-sign * np.interp(np.arange(y.size), seen, y[seen]))
+        powers.append(0.5 * (np.r_[power[0], power[:-1]] + power))
+    most = max(float(power.max()) for power in powers)
+    as_heated = [
+        replace(grid, current=grid.current * np.sqrt(power / most))
+        for grid, power in zip(grids, powers, strict=True)
+    ]
+    return as_heated, {"thermal.square_gain": nominal.power_gain * most, "thermal.power_gain": 0.0}
+
+
+def _own_heater(found: FitResult, reference: float) -> FitResult:
+    """The fit with its gain per squared drive at a resistance (1/ohm of a voltage) as one per power in the film."""
+    model = found.model
+    scalars = dict(model.scalars)
+    scalars["thermal.power_gain"] = scalars["thermal.square_gain"] / reference
+    uncertainty = dict(model.uncertainty)
+    if known := uncertainty.pop("thermal.square_gain", None):
+        uncertainty["thermal.power_gain"] = (known[0] / reference,)
+    scalars["thermal.square_gain"] = 0.0
+    return replace(found, model=replace(model, scalars=scalars, uncertainty=uncertainty))
 
 
 def _check_excited(grids: Sequence[GriddedRecording], device: str) -> None:
