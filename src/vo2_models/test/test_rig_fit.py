@@ -5,11 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import StateSpace, lfilter, lsim
 from vo2_models.device.description import described
+from vo2_models.device.mode import mode_step
 from vo2_models.hysteresis.preisach import PreisachOperator
 from vo2_models.identification.model_fit import fit_model
-from vo2_models.identification.rig_dynamics import RigDynamics, relaxing
+from vo2_models.identification.rig_dynamics import RigDynamics, relaxing, ringing
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 VOLTS = (0.0, 60.0)
@@ -90,6 +91,7 @@ def test_a_lag_that_begins_with_the_next_sample_is_a_lag_and_a_delay():
     assert result.model.scalars["driver.dead_time"] == pytest.approx(0.01)
     assert result.model.scalars["thermal.time_constant"] == pytest.approx(0.04, rel=0.05)
     assert result.model.uncertainty["thermal.time_constant"][0] < 0.002
+    assert not result.model.effects
 
 
 def test_the_lag_of_a_butterfly_is_found():
@@ -121,6 +123,7 @@ def test_loops_that_relax_are_told_from_a_slow_drive():
     name = "model.effects.transition_kinetics.time_constant"
     assert parameters[name] == pytest.approx(0.04, rel=0.1)
     assert any("relaxes with a time constant" in note for note in result.notes)
+    assert not any("rings" in note for note in result.notes)
     assert result.model.scalars["driver.dead_time"] == 0.0
     # the simulation is what was fitted
     error = _error(result.model, drive, values) * np.ptp(values)
@@ -128,19 +131,52 @@ def test_loops_that_relax_are_told_from_a_slow_drive():
     assert error < 0.006 * np.ptp(values)
 
 
+def test_a_response_that_rings_is_fitted_with_its_mode():
+    """A stack with a mass: steps make it overshoot. The mode acts behind the loops, on all of the response."""
+    drive = np.concatenate([_drive(1000, 150), np.repeat(np.random.default_rng(6).uniform(*VOLTS, 50), 20)])
+    times, law = np.arange(drive.size), _law()(drive)
+    mode = StateSpace([[0.0, 1.0], [-1.0, -0.2]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])  # w = 1, zeta = 0.1
+    turn = 2.0 * np.pi * 12.0 * 0.01  # rad a sample at 12 Hz
+    clean = law[0] + lsim(mode, law - law[0], turn * times)[1]
+    values = clean + np.random.default_rng(4).normal(0.0, 0.002 * np.ptp(clean), clean.size)
+    result, parameters = fit_model([_recording(drive, values)], _device().key)
+    name = "model.effects.cantilever_resonance"
+    assert parameters[f"{name}.frequency"] == pytest.approx(12.0, rel=0.02)
+    assert parameters[f"{name}.damping"] == pytest.approx(0.1, rel=0.15)
+    assert any("extension rings at 1" in note for note in result.notes)
+    # the simulation is what was fitted, and no ring is left
+    error = _error(result.model, drive, values) * np.ptp(values)
+    assert error == pytest.approx(np.std(result.residuals[TIP_DEFLECTION][1:]), rel=0.05)
+    assert error < 0.01 * np.ptp(values)
+
+
+def test_a_mode_moves_as_its_effect_does_in_the_simulation():
+    dynamics = RigDynamics(frequency=12.0, damping=0.1)
+    grid = SimpleNamespace(dt=0.01, current=np.zeros(60))
+    columns = np.random.default_rng(3).normal(size=(61, 2))
+    found, powers = ringing([grid], dynamics)(columns, columns)
+    assert np.array_equal(found, powers)
+    step = mode_step(12.0, 0.1, 0.01)
+    z, last = np.array([columns[1], np.zeros(2)]), columns[1]
+    for row, want in zip(columns[1:], found[1:], strict=True):
+        z = step @ np.vstack([z, last, row])
+        last = row
+        assert np.allclose(want, z[0])
+
+
 def test_each_recording_relaxes_from_rest_in_its_own_time():
     device, dynamics = _device(), RigDynamics(relaxation=0.05)
     rng = np.random.default_rng(3)
     grids = [SimpleNamespace(dt=dt, current=rng.normal(size=n)) for dt, n in ((0.01, 40), (0.03, 25))]
     columns = rng.normal(size=(67, 3))
-    found = relaxing(grids, device, dynamics)(columns)
+    found = relaxing(grids, device, dynamics).through(columns)
     for grid, rows in zip(grids, (slice(0, 41), slice(41, 67)), strict=True):
-        assert np.array_equal(found[rows], relaxing([grid], device, dynamics)(columns[rows]))
+        assert np.array_equal(found[rows], relaxing([grid], device, dynamics).through(columns[rows]))
         first, left = columns[rows][1], np.exp(-grid.dt / 0.05)
         assert np.allclose(found[rows][1], first)  # settled
         # the loop coordinate is quick against the samples here: a step relaxes by itself
         step = np.r_[np.zeros((1, 1)), np.zeros((1, 1)), np.ones((grid.current.size - 1, 1))]
-        shown = relaxing([grid], replace(device, time_constant=1e-9), dynamics)(step)[1:, 0]
+        shown = relaxing([grid], replace(device, time_constant=1e-9), dynamics).through(step)[1:, 0]
         assert np.allclose(shown, 1.0 - left ** np.arange(shown.size))
 
 

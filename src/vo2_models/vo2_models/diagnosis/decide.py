@@ -233,7 +233,7 @@ def _unnamed(
     loud = (
         located.is_large(limits)
         and located.total_excess > located.left_out
-        and not located.within_misfit(limits.unlike_misfit)
+        and (not located.within_misfit(limits.unlike_misfit) or located.total_excess > limits.far_beyond)
     )
     if loud:
         clock.say("shaping what has no name")

@@ -30,8 +30,25 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
-Late = Callable[[Floats], Floats]
-"""What becomes of (n, k) outputs of plays that arrive late; linear, and 1 at rest."""
+
+
+@dataclass(frozen=True)
+class Late:
+    """What a response goes through behind its loops; linear, and 1 at rest.
+
+    Attributes
+    ----------
+    through : what becomes of (n, k) columns, such as outputs of plays
+    whole : whether the memoryless part goes the same way
+    """
+
+    through: Callable[[Floats], Floats]
+    whole: bool = False
+
+    def __call__(self, plays: Floats, powers: Floats) -> tuple[Floats, Floats]:
+        """Return outputs of plays (n, k) and powers of the memoryless part (n, m) as they arrive."""
+        return self.through(plays), self.through(powers) if self.whole else powers
+
 
 # bounds of the shape parameters: slope [1/K], half width [K], weight relative to the channel's range
 _SLOPE = (0.03, 5.0)
@@ -207,16 +224,18 @@ def evaluate(shape: BankShape, temperature: Floats, late: Late | None = None) ->
     Parameters
     ----------
     shape : in fitting coordinates
-    late : what the plays, but not the polynomial, go through
+    late : what comes behind them
     """
     slope, width, weight = (np.exp(v) for v in (shape.log_slope, shape.log_width, shape.log_weight))
     plays = slope.size
     jacobian = np.empty((temperature.size, 4 * plays + shape.polynomial.size))
     play_sensitivities(temperature, slope, shape.centre, width, weight, jacobian)
-    if late:
-        jacobian[:, : 4 * plays] = late(jacobian[:, : 4 * plays])
     x = (temperature - POLYNOMIAL_CENTRE) / POLYNOMIAL_SCALE
     jacobian[:, 4 * plays :] = np.vander(x, shape.polynomial.size, increasing=True)
+    if late:
+        jacobian[:, : 4 * plays], jacobian[:, 4 * plays :] = late(
+            jacobian[:, : 4 * plays], jacobian[:, 4 * plays :]
+        )
     # a weighted play is its own derivative by the logarithm of its weight
     return jacobian[:, 3 * plays :] @ np.concatenate([np.ones(plays), shape.polynomial]), jacobian
 
@@ -239,7 +258,7 @@ def fit_bank(
     start : where to begin; also the centre of a weak prior that keeps unused plays where they are
     iterations : most steps
     tolerance : relative decrease of the squared residual at which the fit ends
-    late : what the plays go through, see `evaluate`
+    late : what comes behind the plays, see `evaluate`
 
     Returns
     -------

@@ -139,7 +139,7 @@ def fit_dictionary(
     most : samples used, spread evenly over those with a value
     dictionary : plays on a grid
     fold : (n,) part that each sample is held out with, -1 for none; by default blocks of time
-    late : what the plays, but not the polynomial, go through
+    late : what comes behind the plays, or behind all
     signed : whether weights may be negative, as where a response turns within the loop (a butterfly)
 
     Returns
@@ -154,9 +154,11 @@ def fit_dictionary(
     if good.size < 2 * FOLDS:
         raise ValueError(f"values: found {good.size} measured, need at least {2 * FOLDS}")
     rows = good[np.unique(np.linspace(0, good.size - 1, min(good.size, most)).astype(int))]
-    powers = np.vander((path[rows] - POLYNOMIAL_CENTRE) / POLYNOMIAL_SCALE, degree + 1, increasing=True)
+    powers = np.vander((path - POLYNOMIAL_CENTRE) / POLYNOMIAL_SCALE, degree + 1, increasing=True)
     features = dictionary.features(path)
-    columns = np.hstack([(late(features) if late else features)[rows], powers])
+    if late:
+        features, powers = late(features, powers)
+    columns = np.hstack([features[rows], powers[rows]])
     centre = float(np.mean(values[rows]))
     target = values[rows] - centre
     plays = dictionary.centre.size

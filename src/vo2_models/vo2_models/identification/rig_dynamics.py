@@ -1,28 +1,32 @@
 """How a rig's loop follows its drive in time and sense, chosen by what predicts held-out parts of the calibration.
 
 The drive is laid over the loop coordinate, delayed or followed with one lag or two, and given to a convex fit of plays, of
-which what has hysteresis may follow with a lag of its own while the memoryless part does not (`transition_kinetics`). The
-sense (which end of the drive is the lower saturation), the lags or the delay, and the degree of the memoryless part are
-those with the smallest error on blocks that the fit was not given; what is more complicated must be better by a margin.
+which what has hysteresis may follow with a lag of its own while the memoryless part does not (`transition_kinetics`), or
+behind which all that moves may ring (`cantilever_resonance`). The
+sense (which end of the drive is the lower saturation), the lags or the delay, the mode, and the degree of the memoryless part
+are those with the smallest error on blocks that the fit was not given; what is more complicated must be better by a margin.
 Whether the drive heats, and heats the film itself, is `rig_heat`'s.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
-from scipy.signal import lfilter
+from scipy.optimize import minimize, minimize_scalar
+from scipy.signal import lfilter, lfilter_zi
 
 from vo2_models.device.description import DeviceDescription
+from vo2_models.device.mode import mode_step
 from vo2_models.identification.bank_fit import Late
 from vo2_models.identification.grid import GriddedRecording
-from vo2_models.identification.play_dictionary import PlayDictionary, fit_dictionary
+from vo2_models.identification.play_dictionary import DictionaryFit, PlayDictionary, fit_dictionary
+from vo2_models.recording import TIP_DEFLECTION
 
-__all__ = ["LAGS", "RigDynamics", "after", "choose_dynamics", "loop_path", "relaxing"]
+__all__ = ["LAGS", "RigDynamics", "after", "choose_dynamics", "loop_path", "relaxing", "ringing"]
 
 Floats = NDArray[np.float64]
 COLD = -300.0
@@ -31,7 +35,18 @@ DEGREES = (1, 3)
 _MARGIN = 0.98
 """A lag, a delay or a higher degree must lower the held-out error to this share of what does without it."""
 _RELAXED = 0.8
-"""The same for loops that relax: it is another kind of model, and it smooths what a grid of plays makes of a sharp loop."""
+"""The same for loops that relax: it is another kind of model, and it smooths what a grid of plays makes of a sharp loop. And for
+a mode, which has two numbers to fit."""
+_PERIODS, _DAMPINGS = (3.0, 6.0, 12.0, 24.0, 48.0), (0.05, 0.3)
+"""Periods of a mode, in sample periods, and damping ratios tried first, beside those that the residual shows."""
+_FASTEST = 2.2
+"""Shortest period of a mode, in sample periods: about what sampling can show."""
+_SEEN = 0.95
+"""Share of the held-out error of what is simpler, with coarse plays, from which a mode is looked for more closely."""
+_DAMPED, _LEAST_LAG = (1e-3, 1.0), 0.1
+"""Damping ratios of a mode, and the shortest lag beside it in sample periods."""
+_POLES, _MODE_STEPS = 8, 60
+"""Order of the autoregression whose poles are tried, and evaluations of the search."""
 LAGS = 2.0 ** np.arange(-1, 9)
 _DELAYS = (1, 2, 3, 4, 6, 8, 12, 16)
 """Lags and delays tried first, in sample periods."""
@@ -54,6 +69,7 @@ class RigDynamics:
     falling : whether the lower saturation is at the upper end of the drive
     lag, delay, relaxation : [s], of the drive, of the drive, of what has hysteresis behind it, which has no delay and no
         lag of the drive besides
+    frequency, damping : of a mode behind the loops of what moves [Hz, 1], 0 where there is none
     slow_share, slow : part of what the drive does that arrives through a second, slower lag [1], and that lag [s]
     degree : of the memoryless part
     score : sum over the responses of the logarithm of the held-out error
@@ -64,6 +80,8 @@ class RigDynamics:
     lag: float = 0.0
     delay: float = 0.0
     relaxation: float = 0.0
+    frequency: float = 0.0
+    damping: float = 0.0
     slow_share: float = 0.0
     slow: float = 0.0
     degree: int = DEGREES[0]
@@ -140,7 +158,7 @@ def relaxing(
 
     Returns
     -------
-    function of (m + recordings, k) outputs of plays, one row before each recording, or None
+    of (m + recordings, k) outputs of plays, one row before each recording, or None
     """
     tau = dynamics.relaxation
     if not tau:
@@ -149,18 +167,55 @@ def relaxing(
     if abs(first - tau) < 1e-6 * tau:  # the two terms below go over into one
         first = tau * (1.0 + 1e-6)
 
-    def late(columns: Floats) -> Floats:
+    def step(dt: float) -> tuple[Floats, Floats]:
+        left = np.exp(-dt / tau)
+        before = first / (first - tau) * (np.exp(-dt / first) - left)
+        return np.array([1.0 - left - before, before]), np.array([1.0, -left])
+
+    return Late(_filtered(grids, step))
+
+
+def ringing(grids: Sequence[GriddedRecording], dynamics: RigDynamics) -> Late | None:
+    """Return what all of a response along `loop_path` goes through where it rings: z'' + 2 zeta w z' + w^2 z = w^2 D.
+
+    As `cantilever_resonance` does on a device without body: between samples D goes straight. Each recording begins at rest.
+
+    Parameters
+    ----------
+    grids : recordings, m samples together
+    dynamics : with frequency and damping
+
+    Returns
+    -------
+    of (m + recordings, k) columns, one row before each recording, or None
+    """
+    if not dynamics.frequency:
+        return None
+
+    def step(dt: float) -> tuple[Floats, Floats]:
+        (zz, zr, zl, zn), (rz, rr, rl, rn) = mode_step(dynamics.frequency, dynamics.damping, dt)
+        gone = np.array([1.0, -(zz + rr), zz * rr - zr * rz])
+        return np.array([zn, zl - rr * zn + zr * rn, zr * rl - rr * zl]), gone
+
+    return Late(_filtered(grids, step), whole=True)
+
+
+def _filtered(
+    grids: Sequence[GriddedRecording], step: Callable[[float], tuple[Floats, Floats]]
+) -> Callable[[Floats], Floats]:
+    """Columns behind a filter of gain 1, whose coefficients `step` gives for a sample period, each recording from rest."""
+
+    def through(columns: Floats) -> Floats:
         out, begin = columns.copy(), 0
         for grid in grids:
             own = slice(begin + 1, begin + 1 + grid.current.size)
-            left = np.exp(-grid.dt / tau)
-            before = first / (first - tau) * (np.exp(-grid.dt / first) - left)
-            rest = (left + before) * columns[begin + 1 : begin + 2]
-            out[own], _ = lfilter([1.0 - left - before, before], [1.0, -left], columns[own], axis=0, zi=rest)
+            ahead, back = step(grid.dt)
+            rest = lfilter_zi(ahead, back)[:, None] * columns[begin + 1 : begin + 2]
+            out[own], _ = lfilter(ahead, back, columns[own], axis=0, zi=rest)
             begin = own.stop
         return out
 
-    return late
+    return through
 
 
 def choose_dynamics(
@@ -183,15 +238,66 @@ def choose_dynamics(
     """
     low, high = sorted(device.steady_temperature(v) for v in device.operating_range)
     signed = False
-    plays, sharp = (PlayDictionary.over(low, high, **grid) for grid in (_COARSE, _FINE))
+    coarse, sharp = (PlayDictionary.over(low, high, **grid) for grid in (_COARSE, _FINE))
+    plays = coarse
 
-    def tried(dynamics: RigDynamics) -> RigDynamics:
-        path, late = loop_path(grids, device, dynamics), relaxing(grids, device, dynamics)
-        fits = [
-            fit_dictionary(plays, path, y, degree=dynamics.degree, most=_SAMPLES, late=late, signed=signed)
-            for y in values.values()
-        ]
+    def tried(dynamics: RigDynamics, of: PlayDictionary | None = None) -> RigDynamics:
+        fits = fitted(dynamics, of or plays).values()
         return replace(dynamics, score=float(sum(np.log(max(fit.misfit, 1e-300)) for fit in fits)))
+
+    def fitted(dynamics: RigDynamics, plays: PlayDictionary) -> dict[str, DictionaryFit]:
+        path, late = loop_path(grids, device, dynamics), relaxing(grids, device, dynamics)
+        rings = ringing(grids, dynamics)
+        return {
+            role: fit_dictionary(
+                plays, path, y, degree=dynamics.degree, most=_SAMPLES,
+                late=rings if role == TIP_DEFLECTION and rings else late, signed=signed,
+            )
+            for role, y in values.items()
+        }  # fmt: skip
+
+    def mode() -> RigDynamics:
+        """The best of what a mode makes of `found` with a lag: a converter holds the drive, an amplifier is slow.
+
+        It is `found` itself where coarse plays see no mode.
+        """
+        left = fitted(found, plays)[TIP_DEFLECTION].held_out
+        slowest = 0.1 * longest * dt
+        starts = [
+            (frequency, damping)
+            for frequency, damping in (
+                *_modes_of(left, dt),
+                *itertools.product((1.0 / (k * dt) for k in _PERIODS), _DAMPINGS),
+            )
+            if frequency * slowest > 1.0
+        ]
+        first = min(
+            (
+                tried(replace(found, frequency=f, damping=z, lag=dt, delay=delay), coarse)
+                for f, z in starts
+                for delay in (0.0, dt)
+            ),
+            key=lambda one: one.score,
+        )
+
+        if first.score > tried(simple, coarse).score + len(values) * np.log(_SEEN):
+            return found
+
+        def of(vector: Floats) -> RigDynamics:
+            f, z, lag = np.exp(vector)
+            return replace(
+                first,
+                frequency=float(min(f, 1.0 / (_FASTEST * dt))),
+                damping=float(np.clip(z, *_DAMPED)),
+                lag=float(np.clip(lag, _LEAST_LAG * dt, LAGS[-1] * dt)),
+            )
+
+        start = np.log([first.frequency, first.damping, first.lag])
+        least = minimize(
+            lambda vector: tried(of(vector)).score, start, method="Nelder-Mead",
+            options={"maxfev": _MODE_STEPS, "initial_simplex": start + np.diag([0.0, 0.1, 0.5, -0.7])[:, 1:]},
+        )  # fmt: skip
+        return tried(of(least.x))
 
     def best(simple: RigDynamics, others: Sequence[RigDynamics], margin: float = _MARGIN) -> RigDynamics:
         better, since = simple, 0
@@ -239,6 +345,21 @@ def choose_dynamics(
         simple = best(simple, both[1:])
         if simple in both:
             simple = replace(simple, near=tuple(one for one in both if one is not simple))
-    if signed or not relaxes:
-        return simple
-    return best(simple, [slow(found, lambda lag: replace(found, relaxation=lag))], _RELAXED)
+    another = []
+    if relaxes and not signed:
+        another.append(slow(found, lambda lag: replace(found, relaxation=lag)))
+    if TIP_DEFLECTION in values and 0.1 * longest > _PERIODS[0]:
+        another.append(mode())
+    return best(simple, another, _RELAXED)
+
+
+def _modes_of(left: Floats, dt: float) -> list[tuple[float, float]]:
+    """Frequency [Hz] and damping of what a residual (n,) rings with: the poles of its autoregression that turn."""
+    series = left[np.isfinite(left)]
+    if series.size < 4 * _POLES:
+        return []
+    columns = np.lib.stride_tricks.sliding_window_view(series, _POLES + 1)
+    weights = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=None)[0]
+    poles = np.log(np.roots(np.r_[1.0, -weights[::-1]]).astype(np.complex128))
+    turning = poles[(poles.imag > 0.0) & (poles.imag < 2.0 * np.pi / _FASTEST) & (poles.real < 0.0)]
+    return [(abs(p) / (2.0 * np.pi * dt), float(-p.real / abs(p))) for p in turning]

@@ -39,9 +39,15 @@ from vo2_models.identification.play_dictionary import (
     fold_of,
 )
 from vo2_models.identification.preisach_choice import choose_preisach
-from vo2_models.identification.rig_dynamics import RigDynamics, choose_dynamics, loop_path, relaxing
+from vo2_models.identification.rig_dynamics import (
+    RigDynamics,
+    choose_dynamics,
+    loop_path,
+    relaxing,
+    ringing,
+)
 from vo2_models.identification.rig_heat import RigHeat, choose_heat, free_run, heat_path, heat_scalars
-from vo2_models.recording import RESISTANCE, Recording
+from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
 
 __all__ = ["fit_rig"]
 
@@ -51,6 +57,7 @@ _GRIDS = ({"centres": 20, "widths": 10}, {"centres": 60, "widths": 8})
 _REFINED = (3, 8, 24)
 """Numbers of the heaviest plays that Levenberg-Marquardt moves, tried against all of them as they stand."""
 _STEPS = 40
+_ROUNDS = 2
 _RELAXING = ("", PLAYS, AUTO)
 """Choices of a law that leave plays, the only ones that are fitted behind a relaxation."""
 LAG_OFF = 0.02
@@ -116,14 +123,23 @@ def fit_rig(
     ends = (high, low) if dynamics.falling else (low, high)
     if ends != device.operating_range:
         device = device.running(ends)
-    kinetics = (
-        {"transition_kinetics": {"time_constant": float(dynamics.relaxation)}} if dynamics.relaxation else {}
-    )
-    model = DeviceModel(device.key, scalars=heat_scalars(heat, device), effects=kinetics)
-    late = relaxing(grids, device, dynamics)
+    inside: dict[str, dict[str, float]] = {}
+    if dynamics.relaxation:
+        inside["transition_kinetics"] = {"time_constant": float(dynamics.relaxation)}
+    if dynamics.frequency:
+        inside["cantilever_resonance"] = {
+            "share": 1.0, "frequency": dynamics.frequency, "damping": dynamics.damping,
+        }  # fmt: skip
+    model = DeviceModel(device.key, scalars=heat_scalars(heat, device), effects=inside)
+    relaxed, rings = relaxing(grids, device, dynamics), ringing(grids, dynamics)
     path = heat_path(grids, device, heat)[0] if model.heats else film_path(model, grids, True)
     notes = [*coverage.notes, *heat.notes(device)]
-    if late:
+    if rings:
+        notes.append(
+            f"{device.names[TIP_DEFLECTION]} rings at {dynamics.frequency:.4g} Hz with a damping ratio of {dynamics.damping:.2g} "
+            "(cantilever_resonance in the model)"
+        )
+    if relaxed:
         notes.append(
             f"what has hysteresis relaxes with a time constant of {dynamics.relaxation:.3g} s, the memoryless part does not "
             "(transition_kinetics in the model)"
@@ -139,6 +155,7 @@ def fit_rig(
         channel = device.names[role]
         say(f"loop of {channel}", 0.4 + 0.5 * k / len(roles))
         fold = folds_of_recordings([grid.current for grid in grids], fold_of(np.isfinite(values[role])))
+        late = rings if role == TIP_DEFLECTION and rings else relaxed
         fit = _loop(path, values[role], dynamics.degree, fold, law, late)
         notes.append(f"{channel}: {fit.words}")
         section = SECTIONS[role]
@@ -233,11 +250,33 @@ def _loop(
 ) -> LoopLaw:
     """Return the law that was asked for, or the one that predicts held-out parts best."""
     if law and law not in (PLAYS, AUTO):
-        return fit_loop_law(law, path, values, fold)
+        start = _plays(path, values, degree, fold, late) if late else None
+        return (
+            _before(late, start, law, path, values, fold) if start else fit_loop_law(law, path, values, fold)
+        )
     plays = _plays(path, values, degree, fold, late)
-    names = () if law == PLAYS or late else tuple(FITTED) if law == AUTO else ("preisach",)
-    others = [fit_loop_law(name, path, values, fold) for name in names]
+    alone = late is not None and not late.whole
+    names = () if law == PLAYS or alone else tuple(FITTED) if law == AUTO else ("preisach",)
+    others = [_before(late, plays, name, path, values, fold) for name in names]
     return better_of(plays, others)
+
+
+def _before(
+    late: Late | None, known: LoopLaw, name: str, path: Floats, values: Floats, fold: NDArray[np.int64]
+) -> LoopLaw:
+    """A law of this name in front of what rings.
+
+    What it is fitted to, D = y + (D - H D), takes what the mode H changes from a law D that is known already.
+    """
+    if late is None:
+        return fit_loop_law(name, path, values, fold)
+    fit = known
+    for _ in range(_ROUNDS):
+        before = fit.law.run(path, fit.law.initial_memory())
+        after = late.through(before[:, None])[:, 0]
+        fit = fit_loop_law(name, path, values + before - after, fold)
+    before = fit.law.run(path, fit.law.initial_memory())
+    return replace(fit, residual=values - late.through(before[:, None])[:, 0])
 
 
 def _plays(path: Floats, values: Floats, degree: int, fold: NDArray[np.int64], late: Late | None) -> LoopLaw:
