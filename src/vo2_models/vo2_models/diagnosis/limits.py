@@ -78,9 +78,9 @@ class Limits:
     )
     far_beyond: float = _limit(
         30.0,
-        "residual power beyond noise and misfit of the calibration, in powers of these, from which a recording differs however near "
-        "it is by the above: a slow drift is small and unlike a misfit; of 220 unchanged or moved devices of five looked-at draws "
-        "without body the largest were 21, 9.9 and 6.0",
+        "residual power beyond noise and misfit of the calibration, in powers of these, from which a recording differs however "
+        "near it is by the above: a slow drift is small and unlike a misfit; of 220 unchanged or moved devices of five looked-at "
+        "draws without body the largest were 21, 9.9 and 6.0",
     )
     told: float = _limit(
         0.75,
