@@ -256,6 +256,21 @@ def test_one_ctrl_c_or_two_end_a_node_in_order(tmp_path, executable, cold):
         assert time.monotonic() - began < 10.0
 
 
+def test_a_controller_that_keeps_wall_time_designs_in_a_process_beside_it(model_file):
+    """The executable itself, not the module: what it spawns loads its script again, and must not become a second controller."""
+    command = [installed("vo2_control", "controller"), "--ros-args", "-p", "time:=wall", "--params-file"]
+    with running([*command, str(model_file)], plain_environment()) as node:
+        designer = Path(f"/proc/{node.pid}/task/{node.pid}/children")
+        wait_for(designer.read_text, "a process that designs")
+        time.sleep(5.0)  # it loads what it designs with
+        assert designer.read_text(), "the process that designs has ended"
+        node.send_signal(signal.SIGINT)
+        said, _ = node.communicate(timeout=PATIENCE_S)
+    assert "Traceback" not in said, said
+    assert said.count("lifecycle: active") == 1
+    assert node.returncode == 0
+
+
 def catches_sigint(pid):
     """Whether the program itself handles SIGINT and SIGTERM: Python alone handles the first only."""
     status = Path(f"/proc/{pid}/status").read_text()

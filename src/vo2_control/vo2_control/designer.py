@@ -94,9 +94,12 @@ class Designer:
         return self._answered < self._asked
 
     def ask(self, task: Task) -> None:
-        """Hand a task over, without waiting."""
+        """Hand a task over, without waiting; that the process has died is told by `answer`."""
         self._asked += 1
-        self._ours.send((self._asked, task))
+        try:
+            self._ours.send((self._asked, task))
+        except OSError:
+            self._process.join(0)  # `answer` finds the end of the pipe and says so
 
     def answer(self) -> Design | None:
         """Return the design of the newest task once, None while there is none.

@@ -54,4 +54,6 @@ def holding(*entries: str) -> dict[str, type[Command]]:
 def _script(module: str, function: str) -> str:
     # setuptools' own script looks the function up in the metadata of all that is installed, which takes longer than to load it
     start = f'#!{_HOLD[0]} -S {" ".join(_HOLD[1:])} "{sys.executable}"'
-    return f"{start}\nimport sys\n\nfrom {module} import {function}\n\nsys.exit({function}())\n"
+    # a process that a node spawns loads the script of its parent again, and must not become a node itself
+    end = f'if __name__ == "__main__":\n    sys.exit({function}())'
+    return f"{start}\nimport sys\n\nfrom {module} import {function}\n\n{end}\n"
