@@ -277,6 +277,16 @@ def test_bad_input_is_one_line_and_status_2(tmp_path, capsys, arguments, named):
     assert not (tmp_path / "new").exists()
 
 
+def test_ctrl_c_while_it_loads_is_one_line_and_leaves_nothing(tmp_path, capsys, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(record, "_record", interrupted)
+    assert record.main(["--output", str(tmp_path / "bag")]) == 130
+    assert capsys.readouterr().err == "record: interrupted while it loaded: nothing is recorded\n"
+    assert not (tmp_path / "bag").exists()
+
+
 def test_help_is_sentences(capsys):
     with pytest.raises(SystemExit, match="0"):
         record.main(["--help"])

@@ -46,3 +46,26 @@ def test_a_gap_among_the_first_samples_is_placed_too():
     for k in [*range(5), *range(8, 60)]:
         check.hear_stamp(k * MS)
     assert (check.gaps, check.missing, check.first_gap_ns) == (1, 3, 4 * MS)
+
+
+def test_a_publisher_that_is_known_late_or_joins_loses_nothing():
+    """A second node on a topic that runs long: its first words come before discovery counts it, and when it has gone."""
+    check = StreamCheck()
+    for k in range(300):
+        check.hear_number(8_600_000 + k, 1)
+    for k in range(300):
+        check.hear_number(8_600_300 + k, 1 if k < 50 else 2)
+        check.hear_number(1 + k, 1 if k < 50 else 2)
+    for k in range(300):
+        check.hear_number(8_600_600 + k, 1)
+    assert check.lost == 0
+    # a slow one and four quick ones, and an idle one that joins without a word
+    for k in range(300):
+        check.hear_number(8_600_900 + k, 4)
+        if k % 100 == 0:
+            check.hear_number(20 + k // 100, 4)
+    for k in range(400):
+        check.hear_number(8_601_200 + k, 5)
+    assert check.lost == 0
+    check.hear_number(8_601_603, 5)
+    assert check.lost == 3

@@ -41,13 +41,23 @@ _GIVEN_UP_S = 16.0  # publishers give up who is silent for 20 s (the lease of Fa
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0, 1 if the disk failed or messages are missing, 2 on bad input.
+    """Run the command; return its exit status.
+
+    0, 1 if the disk failed or messages are missing, 2 on bad input, 130 after Ctrl-C while it loads.
 
     Parameters
     ----------
     args : command line, None for that of the process
     """
     options, ros_args = _parser().parse_known_args(args)
+    try:
+        return _run(options, ros_args)
+    except KeyboardInterrupt:  # once it has loaded, `StopFlag` hears it
+        print("record: interrupted while it loaded: nothing is recorded", file=sys.stderr)
+        return 130
+
+
+def _run(options: argparse.Namespace, ros_args: list[str]) -> int:
     if "--ros-args" not in ros_args and ros_args:
         return refuse("record", f"{ros_args[0]}: no such option; see --help")
     for name in ("duration", "messages", "max_bag_size", "max_bag_duration"):

@@ -36,13 +36,21 @@ _NS = 1_000_000_000
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0, 2 on bad input.
+    """Run the command; return its exit status: 0, 2 on bad input, 130 after Ctrl-C while it loads.
 
     Parameters
     ----------
     args : command line, None for that of the process
     """
     options, ros_args = _parser().parse_known_args(args)
+    try:
+        return _run(options, ros_args)
+    except KeyboardInterrupt:  # once it has loaded, `StopFlag` hears it
+        print("replay: interrupted while it loaded: nothing is played", file=sys.stderr)
+        return 130
+
+
+def _run(options: argparse.Namespace, ros_args: list[str]) -> int:
     if "--ros-args" not in ros_args and ros_args:
         return refuse("replay", f"{ros_args[0]}: no such option; see --help")
     for name, low in (("rate", 0.0), ("clock", 0.0), ("duration", 0.0), ("loop", 0.0)):

@@ -11,6 +11,11 @@ _LEARN = 25
 _GAP = 1.5
 """Periods between two stamps above which samples are missing between them."""
 _NS = 1_000_000_000
+_KEPT = 16
+"""Sequences of publishers that have gone, or are not known yet, which are kept."""
+_FARTHEST_JUMP, _FIRST_WORDS, _MEETING = 1000, 100, 200
+"""Beside a publisher that was found and not heard yet: a jump in the numbers, a number, and the messages since it was found, from
+which or up to which a message is taken for its first one and not for a loss of another's."""
 
 
 class StreamCheck:
@@ -30,6 +35,7 @@ class StreamCheck:
         self.lost = self.gaps = self.missing = 0
         self.first_gap_ns: int | None = None
         self._numbers: list[int] = []
+        self._publishers = self._unheard = self._since = 0
         self._last_ns: int | None = None
         self._steps: list[int] = []
         self._period_ns = 0.0
@@ -37,16 +43,29 @@ class StreamCheck:
     def hear_number(self, number: int, publishers: int) -> None:
         """Note the publisher's number of a message; `publishers` is how many the topic has.
 
-        Numbers do not say whose they are: each continues the sequence whose next it is, else the nearest lower one;
-        one that is lower than all, or beside fewer sequences than publishers, begins another.
+        Numbers do not say whose they are: each continues the sequence whose next it is, else the nearest lower one.
+        One that is lower than all begins another; so does one that no sequence could have come to, or that comes soon after
+        another publisher was found, once for each that was found. Discovery may lag behind what is heard: a sequence is not
+        forgotten because fewer publishers are known.
         """
-        if number - 1 in self._numbers:
-            self._numbers.remove(number - 1)
-        elif len(self._numbers) >= publishers and (lower := [one for one in self._numbers if one < number]):
-            self.lost += number - max(lower) - 1
-            self._numbers.remove(max(lower))
-        # the one continued last stands last: those of publishers that have gone drop out
-        self._numbers = [*self._numbers, number][-max(publishers, 1) :]
+        if publishers > self._publishers:
+            self._unheard += publishers - self._publishers
+            self._since = 0
+        self._publishers = publishers
+        self._since += 1
+        nearest = max((one for one in self._numbers if one < number), default=None)
+        if number - 1 == nearest:
+            self._numbers.remove(nearest)
+        elif nearest is None or (
+            self._unheard
+            and (number - nearest > _FARTHEST_JUMP or number <= _FIRST_WORDS or self._since <= _MEETING)
+        ):
+            self._unheard = max(self._unheard - 1, 0)
+        else:
+            self.lost += number - nearest - 1
+            self._numbers.remove(nearest)
+        # the one continued last stands last: those of publishers that have gone drop out in the end
+        self._numbers = [*self._numbers, number][-(publishers + _KEPT) :]
 
     def hear_stamp(self, stamp_ns: int) -> None:
         """Note the stamp of a sample [ns]."""

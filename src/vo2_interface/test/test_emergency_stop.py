@@ -73,3 +73,18 @@ def test_a_stop_is_heard_from_a_volatile_publisher(reliability):
         rig.spin(0.2)
         publisher.publish(Bool(data=True))
         rig.until(lambda: node.stop.active)
+
+
+def test_a_stop_that_reached_one_node_only_reaches_all_and_one_release_ends_it():
+    """As by `ros2 topic pub --once`, which is gone once its first listener is found."""
+    with bench() as rig:
+        nodes = [rig.add(lambda name=name: Commander(name)) for name in ("first", "second", "third")]
+        rig.until(lambda: rig.node.count_subscribers("/vo2/emergency_stop") == 6)
+        rig.spin(1.1)
+        nodes[1].stop._on_any_word(Bool(data=True))
+        rig.until(lambda: all(node.stop.active for node in nodes))
+        rig.spin(0.3)
+        call(rig, "first", False)
+        rig.until(lambda: not any(node.stop.active for node in nodes))
+        rig.spin(1.0)
+        assert not any(node.stop.active for node in nodes)

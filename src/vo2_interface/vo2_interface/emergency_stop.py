@@ -6,6 +6,7 @@ import math
 import time
 from typing import Literal
 
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from std_msgs.msg import Bool
@@ -24,8 +25,10 @@ class EmergencyStop:
     """Whether the graph is stopped, as one node sees it.
 
     `true` on the topic `emergency_stop` stops, `false` releases; the service `~/emergency_stop` of any node says it on
-    the topic, so that all nodes follow. A stop is heard from publishers of any quality of service, a release from
-    reliable, latched ones only (as the services and `ros2 topic pub` are).
+    the topic, so that all nodes follow. A node that hears a stop says it again: who speaks once, such as
+    `ros2 topic pub --once`, may be gone before discovery has brought the word to more than one node. A stop is heard from
+    publishers of any quality of service, a release from reliable, latched ones only (as the services and `ros2 topic pub`
+    are).
 
     The topic is latched: a node that starts while the graph is stopped stops with it. Such a node hears the last word
     of each publisher in any order. So for its first second a `true` stands whatever else it hears, and a node that
@@ -48,25 +51,35 @@ class EmergencyStop:
         self._diagnostics = diagnostics
         self._started_s = time.monotonic()
         self._publisher = node.create_publisher(Bool, EMERGENCY_STOP, EMERGENCY_STOP_QOS)
-        node.create_subscription(Bool, EMERGENCY_STOP, self._on_word, EMERGENCY_STOP_QOS)
+        # a publisher that latches nothing is heard by the second one: that it does not suit the first is no news
+        quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
+        node.create_subscription(
+            Bool, EMERGENCY_STOP, self._on_word, EMERGENCY_STOP_QOS, event_callbacks=quiet
+        )
         node.create_subscription(Bool, EMERGENCY_STOP, self._on_any_word, qos_profile_sensor_data)
         node.create_service(SetBool, "~/emergency_stop", self._on_call)
 
     def _on_any_word(self, message: Bool) -> None:
         if message.data:
-            self._set(True)
+            self._stop_with_others()
 
     def _on_word(self, message: Bool) -> None:
         if message.data:
             if self._own == "pending":
                 self._own = "standing"
-            self._set(True)
+            self._stop_with_others()
         # what was said before our own `true`, or may have been said before another's
         elif self._own != "pending" and time.monotonic() - self._started_s >= _MEET_S:
             if self._own == "standing":
                 self._own = "none"
                 self._publisher.publish(Bool(data=False))
             self._set(False)
+
+    def _stop_with_others(self) -> None:
+        if not self.active:
+            self._own = "pending"
+            self._set(True)
+            self._publisher.publish(Bool(data=True))
 
     def _on_call(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data:

@@ -47,6 +47,8 @@ LONG = 400_000
 """Values of all channels together from which that takes too long."""
 APART = 24
 """Delays among these at which what the nuisance model leaves is looked at, before those near to the best."""
+MOVED = (0.6, 0.8, 1.25, 1.6)
+"""Factors by which a shape parameter of an effect that the model has already may have moved."""
 CRESTS, MOST_CRESTS = 1.5, 100
 """Least and largest number of crests of a ripple over the values that were measured: fewer are a bend, more no start is near."""
 
@@ -188,14 +190,23 @@ def hypotheses(problem: LinearisedProblem, device: str, residual: Floats) -> lis
                 widest = float(np.ptp(_values(problem, signal))) / CRESTS if signal else np.inf
                 latest = LATEST * min(part.dt for part in problem.parts)
                 one = Hypothesis(record, signal, tuple(starts), scales, fastest, slowest, widest, latest)
-                if one.key in problem.nominal.model.effects:
-                    continue  # the device has it, as it stands in the model
+                if known := problem.nominal.model.effects.get(one.key):
+                    one = replace(one, starts=_moved_shapes(one, known))
+                    if not one.starts:
+                        continue  # the device has it, as it stands in the model
                 inside = tuple(
                     {n: min(v, one.bounds(n)[1]) if one.logarithmic(n) else v for n, v in start.items()}
                     for start in starts
                 )
                 found.append(windowed(problem, replace(one, starts=inside), residual))
     return found
+
+
+def _moved_shapes(hypothesis: Hypothesis, known: Mapping[str, float | str]) -> tuple[Values, ...]:
+    """Starts about what a model has of an effect already: each of its shape parameters moved, such as the frequency of a mode."""
+    own = {name: float(value) for name, value in known.items() if name != "signal"}
+    shapes = [name for name in own if name in hypothesis.starts[0] and hypothesis.logarithmic(name)]
+    return tuple({**own, name: own[name] * by} for name in shapes for by in MOVED)
 
 
 def windowed(problem: LinearisedProblem, hypothesis: Hypothesis, residual: Floats) -> Hypothesis:

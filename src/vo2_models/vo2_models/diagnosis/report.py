@@ -786,6 +786,12 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     names = [e.id + (f" on {e.signal}" if e.signal else "") for e in effects if e.id != "unknown"]
     if not names:
         share = decision.unnamed.share if decision.unnamed else 0.0
+        if share < study.limits.share:
+            return (
+                f"{head} Nothing known explains it, and no smooth function of time, temperature, rate, current or memory "
+                "predicts it on blocks that it was not fitted on: what it depends on is not in these recordings, or is noise "
+                f"of the rig.{tail}"
+            )
         return (
             f"{head} Nothing known explains it; it acts in the family {family}. A correction without a name "
             f"removes {100 * share:.0f} % of the excess.{tail}"
