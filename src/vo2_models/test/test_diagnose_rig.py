@@ -143,6 +143,48 @@ def test_beside_agreement_an_effect_that_surely_acts_is_mentioned(unchanged, sig
         assert ("no effect of the catalogue" in answer.summary) != told
 
 
+@pytest.mark.parametrize("samples", [1.0, 7.0, 7.4])
+def test_a_drive_that_comes_late_is_a_response_that_comes_late(model, samples):
+    """On one response they are the same numbers, of a drive that jumps too, and no answer may choose between them."""
+    nominal = Nominal.from_parameters(model)
+    volts, dt = np.repeat(np.random.default_rng(3).uniform(0.0, 10.0, 40), 20), 0.1
+    late = {"delay": samples * dt}
+    clock = {f"clock_offset:{TIP_DEFLECTION}": {**late, "signal": TIP_DEFLECTION, "sampled": 1.0}}
+    found = [
+        nominal.respond(volts, dt, effects=effects, settled=True).channels[TIP_DEFLECTION]
+        for effects in ({"dead_time": late}, clock, {})
+    ]
+    assert np.allclose(found[0], found[1], rtol=0.0, atol=1e-6 * np.ptp(found[2]))
+    assert np.std(found[0] - found[2]) > 0.05 * np.ptp(found[2])
+
+
+def test_an_excess_that_nothing_predicts_has_no_family(unchanged):
+    unnamed = SimpleNamespace(share=0.1)
+    decision = replace(unchanged.decision, verdict="differs", chosen=None, unnamed=unnamed)
+    told = report._summary(
+        replace(unchanged, decision=decision), [SimpleNamespace(id="unknown", family="heat")], []
+    )
+    assert "no smooth function of time, temperature, rate, current or memory predicts it" in told
+    assert "heat" not in told
+    described = replace(decision, unnamed=SimpleNamespace(share=0.8))
+    told = report._summary(
+        replace(unchanged, decision=described), [SimpleNamespace(id="unknown", family="heat")], []
+    )
+    assert "it acts in the family heat. A correction without a name removes 80 %" in told
+
+
+def test_a_mode_that_the_model_has_is_tried_at_other_frequencies(unchanged):
+    """Not at its own: that is the device, as it stands in the model."""
+    problem = unchanged.located.problem
+    has = {"share": 1.0, "frequency": 0.8, "damping": 0.1}
+    known = replace(problem.nominal.model, effects={"cantilever_resonance": has})
+    changed = replace(problem, nominal=replace(problem.nominal, model=known))
+    found = {h.key: h for h in hypotheses.hypotheses(changed, DEVICE.key, problem.residual)}
+    starts = found["cantilever_resonance"].starts
+    assert {start["frequency"] for start in starts} == {0.8, *(0.8 * by for by in hypotheses.MOVED)}
+    assert has not in starts
+
+
 @pytest.mark.slow
 def test_a_device_whose_loops_relax_agrees_and_has_no_second_relaxation():
     """What the fit found is part of the device: it comes to rest with it, and a slower sensor is another thing."""

@@ -196,7 +196,7 @@ def hypotheses(problem: LinearisedProblem, device: str, residual: Floats) -> lis
                         continue  # the device has it, as it stands in the model
                 inside = tuple(
                     {n: min(v, one.bounds(n)[1]) if one.logarithmic(n) else v for n, v in start.items()}
-                    for start in starts
+                    for start in one.starts
                 )
                 found.append(windowed(problem, replace(one, starts=inside), residual))
     return found

@@ -542,6 +542,17 @@ def _shown_in_words(study: Study, shown: Sequence[NamedEffect]) -> str:
     return words + ("Beside it: " if words else "")
 
 
+def _had_before(study: Study, hypothesis: Hypothesis) -> str:
+    """What the model has of an effect already, in words; empty where it has none of it."""
+    model = study.located.problem.nominal.model
+    fitted = []
+    for name, value in model.effects.get(hypothesis.key, {}).items():
+        if name != "signal":
+            unit = model.description.own_unit(hypothesis.parameter(name).unit, hypothesis.signal)
+            fitted.append(f"{name} {float(value):.4g}" + ("" if unit == "1" else f" {unit}"))
+    return f" The model has it already, with {', '.join(fitted)}; here it has other values." if fitted else ""
+
+
 def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
     found = []
     if study.decision.chosen is not None:
@@ -561,7 +572,7 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
                 NamedEffect(
                     record.id,
                     float(np.clip(probability.get(hypothesis.key, 1.0), 0.0, 1.0)),
-                    record.statement,
+                    record.statement + _had_before(study, hypothesis),
                     record.equation,
                     parameters,
                     hypothesis.signal or None,
@@ -759,9 +770,10 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
             f"The same physics, constants have moved{_of_what(study)}: {moved}. With them simulation and recording agree: the "
             f"residual exceeds {_floor(study)} by {power:.0f} % of its power, {_why_enough(study)}."
         )
-    # as `location` has it, whose shares are of energy; of a short channel the power may be higher
+    # as `location` has it, whose shares are of energy; of a short channel the power may be higher. A channel that constants
+    # have taken below its noise is none in which anything differs
     energy = {
-        b.channel: b.excess for b in decision.breakdown if b.excess > 0.0 and b.channel in excess
+        b.channel: b.excess for b in decision.breakdown if b.excess > 0.0 and excess.get(b.channel, 0.0) > 0.0
     } or excess
     where = max(energy, key=lambda c: energy[c])
     family = effects[0].family
