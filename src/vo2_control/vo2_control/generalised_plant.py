@@ -201,19 +201,31 @@ def generalised_plant(design: RobustDesign) -> control.StateSpace:
 
 _WEIGHTS = tuple(f.name for f in fields(RobustDesign) if f.type == "LeadLag")
 _SCALARS = {
-    "current_gain_k_per_a": ("K/A", "Steady temperature over current; negative: negative current heats."),
-    "time_constant_s": ("s", "Time constant of the heater."),
-    "dead_time_s": ("s", "Time between a change of the current and the first change of the temperature."),
-    "slope_m_per_k": ("m/K", "Slope of deflection over temperature across the transition."),
-    "time_constant_spread": ("1", "Relative spread of the time constant that the design must tolerate."),
+    "current_gain_k_per_a": (
+        "K/A",
+        "Steady temperature over current; negative: negative current heats.",
+        None,
+    ),
+    "time_constant_s": ("s", "Time constant of the heater.", 1e-9),
+    "dead_time_s": (
+        "s",
+        "Time between a change of the current and the first change of the temperature.",
+        0.0,
+    ),
+    "slope_m_per_k": ("m/K", "Slope of deflection over temperature across the transition.", None),
+    "time_constant_spread": (
+        "1",
+        "Relative spread of the time constant that the design must tolerate.",
+        0.0,
+    ),
 }
 
 
 def _parameters() -> tuple[Parameter, ...]:
     nominal = RobustDesign()
     scalars = [
-        Parameter(f"hinf.{name}", getattr(nominal, name), unit, text)
-        for name, (unit, text) in _SCALARS.items()
+        Parameter(f"hinf.{name}", getattr(nominal, name), unit, text, lower)
+        for name, (unit, text, lower) in _SCALARS.items()
     ]
     kind = Parameter(
         "hinf.uncertainty",

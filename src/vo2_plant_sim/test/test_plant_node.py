@@ -65,7 +65,8 @@ def test_the_noise_has_a_seed_of_its_own_and_the_device_does_not_change_with_it(
     assert heard["noise_seed:=9",][3] == heard[()][3]
 
 
-def test_an_unanswered_sample_is_repeated_and_an_old_or_second_answer_changes_nothing():
+def test_an_unanswered_sample_is_repeated_and_an_old_or_second_answer_changes_nothing(monkeypatch):
+    monkeypatch.setattr("vo2_plant_sim.plant_node._OVER_S", 0.3)
     with lockstep() as rig:
         rig.hear("/vo2/measurement", CHANNELS)
         rig.add(PlantNode)
@@ -79,6 +80,8 @@ def test_an_unanswered_sample_is_repeated_and_an_old_or_second_answer_changes_no
         assert rig.heard["/vo2/measurement"][-1][0] == S + MS
         assert rig.heard["/vo2/measurement"][-1][1][0] == pytest.approx(0.005, abs=1e-4)
         assert "two different commands" in rig.status("plant: command")[0]
+        rig.say("/vo2/command", S + MS, {"heater_current": 0.005})
+        rig.until(lambda: "one command for each measurement again" in rig.status("plant: command")[0])
 
 
 def test_simulated_time_stands_still_at_run_until_and_goes_on_when_it_is_raised():
@@ -122,14 +125,17 @@ def test_wall_time_keeps_the_pace_and_takes_the_safe_current_after_three_periods
         rig.until(lambda: rig.heard["/vo2/measurement"])
         for _ in range(4):
             count = len(rig.heard["/vo2/measurement"])
-            rig.say("/vo2/command", rig.heard["/vo2/measurement"][-1][0], {"heater_current": 0.006})
+            answered = rig.heard["/vo2/measurement"][-1][0]
+            rig.say("/vo2/command", answered, {"heater_current": 0.006})
             rig.until(lambda count=count: len(rig.heard["/vo2/measurement"]) > count)
-        commanded = len(rig.heard["/vo2/measurement"])
-        rig.until(lambda: len(rig.heard["/vo2/measurement"]) >= commanded + 8)
-        currents = [values[0] for _, values in rig.heard["/vo2/measurement"][commanded:]]
-        assert currents[0] == pytest.approx(0.006, abs=2e-4)
-        assert currents[2] == pytest.approx(0.006, abs=2e-4)
-        assert currents[6] == pytest.approx(0.0, abs=1e-4)
+        rig.until(lambda: rig.heard["/vo2/measurement"][-1][0] >= answered + 10 * 50 * MS)
+        # by stamps: a machine that stands still for a while skips samples
+        currents = [
+            ((stamp - answered) // (50 * MS), values[0]) for stamp, values in rig.heard["/vo2/measurement"]
+        ]
+        assert all(i == pytest.approx(0.006, abs=2e-4) for periods, i in currents if 2 <= periods <= 3)
+        assert all(i == pytest.approx(0.0, abs=1e-4) for periods, i in currents if periods >= 8)
+        assert currents[-1][0] >= 10
         stamps = [stamp for stamp, _ in rig.heard["/vo2/measurement"]]
         steps = {after - before for before, after in itertools.pairwise(stamps)}
         assert all(step % (50 * MS) == 0 for step in steps)

@@ -71,6 +71,8 @@ _CLOCK_NS = 10_000_000
 _BEAT_NS = 1_000_000_000
 _CLOCKS_S = 1.0
 """Wall time between two looks for others that tell the time [s]."""
+_OVER_S = 3.0
+"""Wall time without a command that does not belong here after which the warning of it is taken back [s]."""
 _LATE = 0.75
 """Share of a period by which a sample may be late before it counts as skipped."""
 
@@ -104,6 +106,7 @@ class PlantNode(Node):
         self._truth = self._table.flag("true_channels")
         self._diagnostics = Diagnostics(self, hardware_id=preset)
         self._until_ns = 0
+        self._odd_at: float | None = None
         self._revision = -1
         self._index = -1
         self._start_ns = _START_NS
@@ -171,7 +174,11 @@ class PlantNode(Node):
         if stamp_ns == self._stamp_ns and self._command is None:
             self._command = (stamp_ns, current)
             self._answer_lockstep()
+            if self._odd_at is not None and time.monotonic() - self._odd_at > _OVER_S:
+                self._odd_at = None
+                self._diagnostics.report("command", "ok", "one command for each measurement again")
         elif stamp_ns > self._stamp_ns:
+            self._odd_at = time.monotonic()
             self._diagnostics.report(
                 "command",
                 "warn",
@@ -180,6 +187,7 @@ class PlantNode(Node):
                 stamp_ns=self._stamp_ns,
             )
         elif stamp_ns == self._stamp_ns - self._period_ns and current != self._used_a:
+            self._odd_at = time.monotonic()
             self._diagnostics.report(
                 "command",
                 "warn",
