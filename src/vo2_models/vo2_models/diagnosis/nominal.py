@@ -258,10 +258,10 @@ class Nominal:
         late = next((key for key in effects or {} if "delay" in records()[key.partition(":")[0]].hooks), None)
         if self.model.heats or effects is None or late is None:
             return run(effects)
-        samples = float(effects[late]["delay"]) / dt
+        samples = float(effects[late].get("delay", 0.0)) / dt
         whole = int(samples)
-        early, later = (run({**effects, late: {"delay": dt * (whole + k)}}) for k in (0, 1))
         share = samples - whole
+        early, later = (run({**effects, late: {**effects[late], "delay": dt * (whole + k)}}) for k in (0, 1))
         channels = {
             channel: (1.0 - share) * values + share * later.channels[channel]
             for channel, values in early.channels.items()
