@@ -1,6 +1,7 @@
 """Control laws by name."""
 
 import pytest
+from vo2_control.designer import Designer
 from vo2_control.designs import design_controller
 
 
@@ -18,3 +19,14 @@ def test_a_device_without_published_gains_needs_gains_or_a_model():
     with pytest.raises(ValueError, match=r"no gains are published, need pid\.kp, .* or a model"):
         design_controller("pi", values={}, **where)
     assert design_controller("pi", values={"pid.kp": -1.4, "pid.ki": -0.01}, **where)
+
+
+def test_a_designer_that_has_died_is_told_however_often_it_is_asked():
+    designer = Designer()
+    designer._process.kill()
+    designer._process.join()
+    for _ in range(2):
+        designer.ask(None)
+        with pytest.raises(ValueError, match="the process that designs has died"):
+            designer.answer()
+    designer.close()

@@ -12,6 +12,7 @@ import os
 import signal
 import traceback
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
@@ -96,10 +97,8 @@ class Designer:
     def ask(self, task: Task) -> None:
         """Hand a task over, without waiting; that the process has died is told by `answer`."""
         self._asked += 1
-        try:
+        with suppress(OSError):  # `answer` finds the end of the pipe, and says so
             self._ours.send((self._asked, task))
-        except OSError:
-            self._process.join(0)  # `answer` finds the end of the pipe and says so
 
     def answer(self) -> Design | None:
         """Return the design of the newest task once, None while there is none.

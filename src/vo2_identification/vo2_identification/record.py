@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from vo2_identification.bags import BagWriter
     from vo2_identification.recorder_node import Recorder
 
-from vo2_models.command_line import Progress, refuse
+from vo2_models.command_line import Progress, refuse, until_loaded
 
 __all__ = ["HEARS", "main"]
 
@@ -50,11 +50,7 @@ def main(args: Sequence[str] | None = None) -> int:
     args : command line, None for that of the process
     """
     options, ros_args = _parser().parse_known_args(args)
-    try:
-        return _run(options, ros_args)
-    except KeyboardInterrupt:  # once it has loaded, `StopFlag` hears it
-        print("record: interrupted while it loaded: nothing is recorded", file=sys.stderr)
-        return 130
+    return until_loaded("record", "nothing is recorded", lambda: _run(options, ros_args))
 
 
 def _run(options: argparse.Namespace, ros_args: list[str]) -> int:

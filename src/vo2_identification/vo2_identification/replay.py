@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from vo2_identification.bags.playback import Outline
     from vo2_identification.replay_control import ReplayControl
 
-from vo2_models.command_line import Progress, refuse
+from vo2_models.command_line import Progress, refuse, until_loaded
 
 __all__ = ["main"]
 
@@ -43,11 +43,7 @@ def main(args: Sequence[str] | None = None) -> int:
     args : command line, None for that of the process
     """
     options, ros_args = _parser().parse_known_args(args)
-    try:
-        return _run(options, ros_args)
-    except KeyboardInterrupt:  # once it has loaded, `StopFlag` hears it
-        print("replay: interrupted while it loaded: nothing is played", file=sys.stderr)
-        return 130
+    return until_loaded("replay", "nothing is played", lambda: _run(options, ros_args))
 
 
 def _run(options: argparse.Namespace, ros_args: list[str]) -> int:

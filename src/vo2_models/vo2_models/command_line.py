@@ -6,6 +6,7 @@ import math
 import os
 import sys
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Self
 
 from vo2_models.io import one_line
@@ -13,10 +14,10 @@ from vo2_models.io import one_line
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-__all__ = ["BAD_INPUT", "Progress", "duration", "refuse"]
+__all__ = ["BAD_INPUT", "Progress", "duration", "refuse", "until_loaded"]
 
-BAD_INPUT = 2
-"""Exit status of a command that cannot use what it was given."""
+BAD_INPUT, INTERRUPTED = 2, 130
+"""Exit status of a command that cannot use what it was given, and of one that Ctrl-C has ended."""
 _SOON = 0.05
 """Share of the work below which the rest is not estimated."""
 
@@ -31,6 +32,22 @@ def refuse(program: str, reason: object) -> int:
     """
     print(f"{program}: {one_line(reason)}", file=sys.stderr, flush=True)
     return BAD_INPUT
+
+
+def until_loaded(program: str, left: str, run: Callable[[], int]) -> int:
+    """Run a command that hears Ctrl-C itself once it has loaded, and return its exit status; 130 after Ctrl-C before.
+
+    Parameters
+    ----------
+    program : name of the command
+    left : what has come of it until then, such as "nothing is recorded"
+    run : the command
+    """
+    try:
+        return run()
+    except KeyboardInterrupt:
+        print(f"{program}: interrupted while it loaded: {left}", file=sys.stderr)
+        return INTERRUPTED
 
 
 def duration(seconds: float) -> str:

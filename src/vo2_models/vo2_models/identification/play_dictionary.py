@@ -86,6 +86,12 @@ class DictionaryFit:
     misfit: float
     held_out: Floats = field(repr=False)
 
+    def residual(self, path: Floats, values: Floats) -> Floats:
+        """Return what the fit leaves of values (n,) along a path (n,) [degC], NaN where missing, nothing behind the plays."""
+        x = (path - POLYNOMIAL_CENTRE) / POLYNOMIAL_SCALE
+        output = self.dictionary.features(path) @ self.weights
+        return np.asarray(values - output - np.polynomial.polynomial.polyval(x, self.polynomial))
+
     def shape(self, most: int | None = None, *, degree: int = 3) -> BankShape:
         """Return the plays with a weight, at most the `most` heaviest, as the shape of a bank."""
         order = np.argsort(-self.weights)[:most]

@@ -23,6 +23,7 @@ from vo2_models.device.description import DeviceDescription
 from vo2_models.device.mode import mode_step
 from vo2_models.identification.bank_fit import Late
 from vo2_models.identification.grid import GriddedRecording
+from vo2_models.identification.noise import residual_colour
 from vo2_models.identification.play_dictionary import DictionaryFit, PlayDictionary, fit_dictionary
 from vo2_models.recording import TIP_DEFLECTION
 
@@ -261,7 +262,8 @@ def choose_dynamics(
 
         It is `found` itself where coarse plays see no mode.
         """
-        left = fitted(found, plays)[TIP_DEFLECTION].held_out
+        at_once = fitted(found, plays)[TIP_DEFLECTION]
+        left = at_once.residual(loop_path(grids, device, found), values[TIP_DEFLECTION])
         slowest = 0.1 * longest * dt
         starts = [
             (frequency, damping)
@@ -355,11 +357,7 @@ def choose_dynamics(
 
 def _modes_of(left: Floats, dt: float) -> list[tuple[float, float]]:
     """Frequency [Hz] and damping of what a residual (n,) rings with: the poles of its autoregression that turn."""
-    series = left[np.isfinite(left)]
-    if series.size < 4 * _POLES:
-        return []
-    columns = np.lib.stride_tricks.sliding_window_view(series, _POLES + 1)
-    weights = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=None)[0]
-    poles = np.log(np.roots(np.r_[1.0, -weights[::-1]]).astype(np.complex128))
+    colour = np.array(residual_colour(left, _POLES))
+    poles = np.log(np.roots(np.r_[1.0, -colour]).astype(np.complex128))
     turning = poles[(poles.imag > 0.0) & (poles.imag < 2.0 * np.pi / _FASTEST) & (poles.real < 0.0)]
     return [(abs(p) / (2.0 * np.pi * dt), float(-p.real / abs(p))) for p in turning]
