@@ -71,6 +71,8 @@ def synthesise(design: RobustDesign, *, largest_gamma: float = 1.0, expected_sig
     DesignRefused : a sign-flipped plant, an uncontrollable or unobservable plant, an infeasible synthesis, an
         unstable or a not robustly stable loop.
 
+    Examples
+    --------
     >>> round(synthesise(RobustDesign()).gamma, 3)
     0.115
     """

@@ -41,6 +41,8 @@ def central_plant(plants: Sequence[ThermalLag]) -> ThermalLag:
     ------
     ValueError : no plants.
 
+    Examples
+    --------
     >>> ends = [ThermalLag(-1.0, 20.0), ThermalLag(-3.0, 20.0)]
     >>> round(central_plant(ends).gain, 2)
     -2.0

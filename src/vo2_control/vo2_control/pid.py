@@ -128,6 +128,8 @@ def pid_controller(gains: PidGains, limits: CurrentLimits, sample_period_s: floa
     limits : range and rate of the commanded current
     sample_period_s : [s]
 
+    Examples
+    --------
     >>> pi = pid_controller(PidGains(kp=100.0, ki=2e4), CurrentLimits(0.0, 0.012), 0.001)
     >>> _ = pi.reset(0.005, reference_m=30e-6, estimate_m=30e-6)
     >>> round(pi.update(30e-6, 30e-6), 9)

@@ -31,7 +31,11 @@ def model(tmp_path):
         "integrated",
         resistance=_bank(8, 0.1, [-4.7, 0.001]),
         deflection=_bank(6, 4e-6, [3e-5, -1e-7], own=False),
-        uncertainty={"resistance.weights": (0.01,) * 8, "thermal.time_constant": (1e-4,)},
+        uncertainty={
+            "resistance.weights": (0.01,) * 8,
+            "resistance.rising_slopes": (0.02,) * 8,
+            "thermal.time_constant": (1e-4,),
+        },
     )
     resistance = 10.0 ** -device.resistance.run(TEMPERATURE)
     deflection = device.deflection.run(TEMPERATURE)
@@ -57,6 +61,15 @@ def test_fewer_plays_load_into_the_plant_and_stay_near(model, tmp_path, capsys):
         load_model_parameters(tmp_path / "small.yaml")["model.self_sensing.preisach.weights"]
         == load_model_parameters(path)["model.self_sensing.preisach.weights"]
     )
+
+
+def test_a_file_of_somebody_else_is_not_replaced(model, tmp_path, capsys):
+    (tmp_path / "mine.yaml").write_text("kept")
+    assert main(["--model", str(model[0]), "--output", str(tmp_path / "mine.yaml"), "--plays", "4"]) == 2
+    assert (tmp_path / "mine.yaml").read_text() == "kept"
+    assert "mine.yaml: exists and was not compressed by `compress`" in capsys.readouterr().err
+    again = ["--model", str(model[0]), "--output", str(tmp_path / "own.yaml"), "--plays", "4"]
+    assert main(again) == main(again) == 0
 
 
 def test_a_coarser_grid_loads_into_the_estimator_and_stays_near(model, tmp_path, capsys):

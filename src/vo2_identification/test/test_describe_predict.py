@@ -1,6 +1,7 @@
 """A rig of one's own from the bag on: drafted, fitted, predicted; the commands as a person calls them."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -112,3 +113,18 @@ def test_what_cannot_be_predicted(folder, tmp_path, capsys):
     assert predict.main([*common, "--drive", "0,up"]) == 2
     assert "--drive: found '0,up', need levels" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_drive_beyond_the_limits_is_told(folder, capsys):
+    model = str(folder / "model.yaml")
+    for levels, beyond in (("0,30,0", False), ("0,1e6,0", True)):
+        output = str(folder / f"drive_{beyond}")
+        assert predict.main(["--model", model, "--drive", levels, "--output", output]) == 0
+        assert ("drive_voltage: from 0 to 1e+06 V, beyond the limits" in capsys.readouterr().out) is beyond
+
+
+def test_a_recording_of_another_shipped_device_is_refused(folder, tmp_path, capsys):
+    write_bag(tmp_path / "bag", replace(_rig(), device="peltier"))
+    arguments = ["--model", str(folder / "model.yaml"), "--bag", str(tmp_path / "bag")]
+    assert predict.main([*arguments, "--output", str(tmp_path / "out")]) == 2
+    assert "was recorded on device 'peltier', the model is of 'stack_07'" in capsys.readouterr().err

@@ -11,6 +11,8 @@ from vo2_models.command_line import refuse
 
 __all__ = ["main"]
 
+_MARK = "compressed by `compress`"
+"""Begins the first line of a model file that this command may replace."""
 _DESCRIPTION = """
 Compress the hysteresis laws of a model file, so that a small processor can follow them: --plays merges the plays of
 every bank that has more (chapter 3), --levels the cells of every Preisach grid that is finer (chapter 2). The result
@@ -27,9 +29,10 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     options = _parser().parse_args(args)
     from vo2_models.hysteresis.compress_model import compress_levels, compress_plays_of
-    from vo2_models.model_file import load_model_parameters, save_model_parameters
+    from vo2_models.model_file import check_model_place, load_model_parameters, save_model_parameters
 
     try:
+        check_model_place(options.output, _MARK)
         values = load_model_parameters(options.model)
         if options.plays is not None:
             what = "plays"
@@ -41,7 +44,7 @@ def main(args: Sequence[str] | None = None) -> int:
             f"{c.section}: {c.before} {what} to {c.after}, output changed by at most {100 * c.error:.2g} % of its range"
             for c in changes
         ]
-        save_model_parameters(options.output, found, comment="\n".join(["compressed", *lines]))
+        save_model_parameters(options.output, found, comment="\n".join([_MARK, *lines]))
     except ValueError as error:
         return refuse("compress", error)
     except OSError as error:

@@ -9,8 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vo2_models.io import InputError, check_place, check_regular
-from vo2_models.recording import RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
+from vo2_models.recording import (
+    COMMANDED_CURRENT,
+    HEATER_CURRENT,
+    RESISTANCE,
+    STAGE_TEMPERATURE,
+    TIP_DEFLECTION,
+    Recording,
+)
 
 if TYPE_CHECKING:
     from vo2_models.identification.device_fit import FitResult
@@ -50,7 +56,7 @@ def _run(options: argparse.Namespace) -> int:
     from vo2_models.device.description import preset
     from vo2_models.identification.loop_law import LAW_CHOICES
     from vo2_models.identification.model_fit import fit_model
-    from vo2_models.model_file import save_model_parameters
+    from vo2_models.model_file import check_model_place, save_model_parameters
 
     from vo2_identification.bags import read_recording
     from vo2_identification.bags.problems import in_few_lines
@@ -61,13 +67,17 @@ def _run(options: argparse.Namespace) -> int:
         if options.law and options.law not in LAW_CHOICES:
             raise ValueError(f"--law: found {options.law!r}, need one of {', '.join(LAW_CHOICES)}")
         device = preset(options.device)
-        _check_place(options.output)
+        check_model_place(options.output, MARK)
         recordings = []
         for bag in options.bag:
             recording, problems = read_recording(bag, device=device)
             for problem in in_few_lines(problems):
                 print(f"fit: {bag}: {problem}", file=sys.stderr)
             recordings.append(of_device(recording, options.device, bag))
+            if not {HEATER_CURRENT, COMMANDED_CURRENT} & set(recording.channels):
+                raise ValueError(
+                    f"{bag}: found no {device.drive_channel}, the drive of device {device.id}; is it of another device?"
+                )
         names = [str(bag) for bag in options.bag]
         result, parameters = fit_model(
             recordings,
@@ -123,20 +133,6 @@ def of_device(recording: Recording, device: str, bag: Path) -> Recording:
             f"{bag}: was recorded on device {recording.device}, need --device {recording.device}"
         )
     return recording
-
-
-def _check_place(output: Path) -> None:
-    """Refuse before the work what could not be written after it."""
-    if output.is_dir():
-        raise InputError(f"{output}: is a folder, need the name of a file, such as {output / 'model.yaml'}")
-    check_place(output)
-    if output.exists():
-        check_regular(output)
-        with output.open("rb") as file:
-            if not file.read(len(MARK) + 2).decode(errors="replace").startswith(f"# {MARK}"):
-                raise InputError(
-                    f"{output}: exists and was not written by fit; move it away or name another file"
-                )
 
 
 def _summary(result: FitResult) -> list[str]:
@@ -195,8 +191,8 @@ def _parser() -> argparse.ArgumentParser:
         default="",
         metavar="LAW",
         help="hysteresis law of the simulation: plays, preisach, cs (a sparse Preisach density, compressive sensing), gpi, "
-        "egpi, bouc_wen, limiting_loop, domains, or auto for the one that predicts held-out parts best (default: plays; "
-        "without a heated body plays or preisach, by held-out error)",
+        "egpi, bounded_plays, bouc_wen, limiting_loop, domains, or auto for the one that predicts held-out parts best "
+        "(default: plays; without a heated body plays, preisach or bounded_plays, by held-out error)",
     )
     parser.add_argument(
         "--simulation-only",

@@ -27,6 +27,8 @@ expects, with bounds that 95 of 100 samples should lie between. Responses that t
 """
 RESULTS = ("prediction.csv", "bag", "report.html")
 """What the command writes into its folder."""
+_FEW_INSIDE = 0.8
+"""Share of the samples within the bounds below which these are told to be too narrow."""
 _TIME = ("time_s", "time")
 
 
@@ -90,8 +92,15 @@ def predicted_recording(prediction: Prediction, device: DeviceDescription) -> Re
 
 
 def summary(prediction: Prediction, device: DeviceDescription) -> list[str]:
-    """Return one sentence per response."""
+    """Return one sentence per response, and what speaks against trusting it."""
     lines = []
+    low, high = sorted(device.current_range)
+    least, most = (float(f(prediction.drive)) for f in (np.nanmin, np.nanmax))
+    if least < low or most > high:
+        lines.append(
+            f"{device.drive_channel}: from {least:.4g} to {most:.4g} {device.drive_unit}, beyond the limits {low:g} to "
+            f"{high:g} of device {device.id}: what it does there is not known"
+        )
     for role, one in prediction.channels.items():
         name, unit = device.names[role], device.units[role]
         text = f"{name}: predicted {np.min(one.value):.4g} to {np.max(one.value):.4g} {unit}"
@@ -101,6 +110,8 @@ def summary(prediction: Prediction, device: DeviceDescription) -> list[str]:
                 f"; measured minus predicted {one.error:.3g} {judged} r.m.s., {100 * one.error / one.span:.2f} % of the "
                 f"measured span; {100 * one.inside:.0f} % of the samples within the bounds"
             )
+            if one.inside < _FEW_INSIDE:
+                text += " where 95 % are meant: the model misses more here than of its calibration"
         lines.append(text)
     return lines
 
@@ -147,12 +158,19 @@ def prediction_page(prediction: Prediction, model: DeviceModel) -> str:
 def _recording(options: argparse.Namespace, device: DeviceDescription) -> Recording:
     """The drive, with measured responses where there are some, in roles."""
     if options.bag is not None:
+        from vo2_models.device.description import PRESETS
+
         from vo2_identification.bags import read_recording
         from vo2_identification.bags.problems import in_few_lines
 
         recording, problems = read_recording(options.bag, device=device)
         for problem in in_few_lines(problems):
             print(f"predict: {options.bag}: {problem}", file=sys.stderr)
+        if recording.device in PRESETS and recording.device != device.id:
+            raise ValueError(
+                f"{options.bag}: was recorded on device {recording.device!r}, the model is of {device.id!r}; give the model of "
+                "this device"
+            )
         return recording
     if options.csv is not None:
         return device.in_roles(_table(options.csv, device))
@@ -203,7 +221,10 @@ def _levels(text: str) -> np.ndarray:
 
 
 def _parser() -> argparse.ArgumentParser:
+    from vo2_models.effects.catalogue import add_effects_option
+
     parser = argparse.ArgumentParser(prog="predict", description=_DESCRIPTION, allow_abbrev=False)
+    add_effects_option(parser)
     parser.add_argument("--model", type=Path, required=True, help="model file that `fit` wrote")
     given = parser.add_mutually_exclusive_group(required=True)
     given.add_argument("--bag", type=Path, help="bag with the drive, and responses to compare with")

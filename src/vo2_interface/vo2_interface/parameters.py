@@ -102,6 +102,15 @@ class ParameterTable:
             if name in self._given and name.startswith(prefix)
         }
 
+    def undeclared(self, prefix: str) -> dict[str, Value]:
+        """Return what a file or the command line gives below `prefix` and the node does not declare; ROS says nothing of it."""
+        overrides = self._node._parameter_overrides  # rclpy has no other way to them
+        return {
+            name: _from_ros(parameter)
+            for name, parameter in overrides.items()
+            if name.startswith(prefix) and name not in self._records
+        }
+
     def set(self, values: Mapping[str, Value]) -> None:
         """Set declared parameters from inside the node, as a service call would; refuse all or none."""
         result = self._node.set_parameters_atomically(

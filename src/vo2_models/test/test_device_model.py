@@ -1,5 +1,6 @@
 """The fitted simulation as parameters: what is written is what is read, and every node can declare it."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -193,3 +194,18 @@ def test_an_effect_of_nearly_nothing_changes_nearly_nothing(model):
     touched = replace(whole, effects={"transition_offset": {"offset": 1e-12}})
     one, other = (m.simulate(CURRENT, noise=False)[TIP_DEFLECTION] for m in (whole, touched))
     np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * np.ptp(one) + 1e-16)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("model.effects.backlahs.gap", "is no parameter of an effect that is known here; correct it, or give the folder"),
+        ("model.effects.creep.shar", "is no parameter of an effect that is known here"),
+        ("model.thermal.time_constants", "is no parameter of a model; correct it or take it out"),
+        ("model.resistance.weight", "is no parameter of a model"),
+    ],
+)  # fmt: skip
+def test_a_name_that_is_not_known_is_refused_and_not_left_out(name, said):
+    """A corrected model whose effect is in a file that is not given would run without it."""
+    with pytest.raises(ValueError, match=rf"{re.escape(name)}: {said}"):
+        DeviceModel.from_parameters({"model.device": "integrated", name: 0.1})

@@ -75,9 +75,11 @@ def test_the_skeleton_is_not_written_over_anything(tmp_path, capsys):
     assert main(["mine", "--output", str(tmp_path)]) == 2
     assert (tmp_path / "mine.py").read_text() == "kept"
     assert main(["Not-A-Name", "--output", str(tmp_path)]) == 2
-    first, second = capsys.readouterr().err.splitlines()
+    assert main(["creep", "--output", str(tmp_path / "own")]) == 2 and not (tmp_path / "own").exists()
+    first, second, third = capsys.readouterr().err.splitlines()
     assert "mine.py: is there already" in first
     assert "found 'Not-A-Name', need small letters" in second
+    assert "found 'creep', which the catalogue has already" in third
 
 
 @pytest.mark.parametrize(
@@ -100,6 +102,15 @@ def test_the_skeleton_is_not_written_over_anything(tmp_path, capsys):
             "hook body: cannot be compiled (NameError: name 'lat' is not defined)",
         ),
         (("parameters=(", "parameters=(None,"), "EFFECT: found a value of another type than Effect says"),
+        (
+            ('share", 0, "1"', 'share", 0.9, "1"'),
+            "parameter share: found the neutral value 0.9, need one within -0.5 to 0.5",
+        ),
+        (
+            ("channels=HEAT", 'channels=("resistance",)'),
+            "channels: found 'resistance', need a tuple of some of heater_current",
+        ),
+        (('{"share": (', '{"shar": ('), "typical: integrated: found shar, need parameters of the effect"),
         (("import math", "import math; raise SystemExit(0)"), "cannot be imported (SystemExit"),
     ],
 )
@@ -110,6 +121,26 @@ def test_a_file_that_is_not_sound_is_told_with_its_place(tmp_path, change, said)
     code = "from vo2_models.effects import effects\ntry:\n    effects()\nexcept ValueError as error:\n    print(error)"
     shown = run(tmp_path, code).stdout
     assert str(tmp_path / name) in shown and said in shown
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("    value * (1.0 - leak)", "hook terminals: found None with neutral parameters, need resistance at the terminals"),
+        ("    return value, leak", "hook terminals: found (10000.0, 0.0) with neutral parameters"),
+        ("    return 1.02 * value", "hook terminals: found 10200 of 10000 with neutral parameters, need 10000"),
+    ],
+)  # fmt: skip
+def test_a_hook_that_gives_no_number_or_acts_while_it_is_off_is_told(tmp_path, body, said):
+    (tmp_path / "leak.py").write_text(
+        "from vo2_models.effects.record import Effect, constant_of\n"
+        "EFFECT = Effect(id='leak', stage='terminals', channels=('film_resistance',), typical={},\n"
+        "    parameters=(constant_of('leak', 0, '1', 'lost share', 0, 1),),\n"
+        "    equation='', excitation='', source='', statement='')\n"
+        f"def terminals(value, leak):\n{body}\n"
+    )
+    code = "from vo2_models.effects import effects\ntry:\n    effects()\nexcept ValueError as error:\n    print(error)"
+    assert said in run(tmp_path, code).stdout
 
 
 def test_a_command_tells_what_is_wrong_with_an_effect_file_in_one_line(tmp_path, capsys):

@@ -5,6 +5,7 @@ import pytest
 from scipy.optimize import nnls
 from vo2_models.hysteresis import GPI, BoucWen, DomainEnsemble, LimitingLoop, PreisachOperator, TanhEnvelopes
 from vo2_models.hysteresis.law_fit import FITTED, HELD_OUT, excursions, fit_law, rank_laws
+from vo2_models.hysteresis.laws.bounded_plays import BoundedPlays
 from vo2_models.hysteresis.preisach import fit_smooth, signed_area_matrix
 
 
@@ -25,6 +26,7 @@ def _truths():
         "preisach": PreisachOperator(edges, 0.01 * density, 1.0),
         "cs": PreisachOperator(edges, np.tril(0.01 * (density > 0.5)), 1.0),
         "gpi": GPI([0.0, 0.3, 0.6], [1.0, 0.8, 0.5], TanhEnvelopes(0.08, -5.4, 0.08, -4.6), 1.0),
+        "bounded_plays": BoundedPlays([0.6, 1.2, 0.7], [0.0, 0.07, 0.2], 20.0, 100.0, 2.0, [1.0, 0.01]),
         "bouc_wen": BoucWen(0.08, 0.8, 1.5, 2.0, [1.0, 0.02]),
         "limiting_loop": LimitingLoop(0.14, 68.0, 0.18, 54.0, 0.9, 0.0, 3.0, [0.0, 0.01]),
         "domains": DomainEnsemble(middle + half, middle - half, None, 6.0, 0.0, 3.0),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from vo2_models.hysteresis.bouc_wen import BoucWen
+from vo2_models.hysteresis.laws.bounded_plays import BoundedPlays, fit_bounded_plays
 from vo2_models.hysteresis.limiting_loop import LimitingLoop
 
 
@@ -88,3 +89,56 @@ def test_limiting_loop_stays_inside_and_is_monotone():
 def test_bad_parameters_are_named(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def relays_of_a_play(path, radius):
+    """A play of inputs from 0 to 1 as the relays that it is the sum of: up at c + r, down at c - r, for r <= c <= 1 - r."""
+    centre = radius + (1.0 - 2.0 * radius) * (np.arange(4000) + 0.5) / 4000
+    up, outputs = np.zeros(centre.size, dtype=bool), []
+    for z in path:
+        up = (z >= centre + radius) | (up & (z > centre - radius))
+        outputs.append(radius + (1.0 - 2.0 * radius) * np.mean(up))
+    return np.array(outputs)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 2.0])
+def test_bounded_plays_are_sums_of_relays_within_the_ends(exponent):
+    """(A.1) and (B.3): every relay begins down, as after a rest at the lower end."""
+    law = BoundedPlays([2.0, 0.7], [0.05, 0.2], 20.0, 100.0, exponent, [0.5, 0.02])
+    path = np.r_[20.0, np.random.default_rng(3).uniform(20.0, 100.0, 60), 100.0, 20.0]
+    z = ((path - 20.0) / 80.0) ** exponent
+    expected = 2.0 * relays_of_a_play(z, 0.05) + 0.7 * relays_of_a_play(z, 0.2) + 0.5 + 0.02 * path
+    assert law.run(path) == pytest.approx(expected, abs=2e-3)
+    assert law.run(np.r_[-300.0, path])[1:] == pytest.approx(law.run(path), abs=1e-12)
+    assert law.settle(20.0, "upper") == pytest.approx(law.settle(20.0))
+
+
+def test_few_turns_tell_the_loops_of_bounded_plays_everywhere():
+    """Weights, exponent and memoryless part from five turns predict sixty others to a fraction of the noise."""
+    truth = BoundedPlays([1.0, 0.5, 0.3], [0.0, 0.06, 0.15], 0.0, 150.0, 2.0, [0.0, 0.02])
+    turns = np.array([0.0, 150.0, 0.0, 90.0, 40.0, 120.0, 0.0])
+    u = np.interp(np.linspace(0, turns.size - 1, 1200), np.arange(turns.size), turns)
+    clean = truth.run(u)
+    noise = 2e-3 * np.ptp(clean)
+    y = clean + noise * np.random.default_rng(5).normal(size=u.size)
+    found = fit_bounded_plays(u, y, np.arange(u.size) // 40, np.ones(u.size, dtype=bool)).law
+    assert found.exponent == 2.0
+    fresh = np.r_[0.0, np.random.default_rng(6).uniform(0.0, 150.0, 60)]
+    assert np.std(found.run(fresh) - truth.run(fresh)) < 0.5 * noise
+    with pytest.raises(ValueError, match=r"measured: found 4 samples, need 10"):
+        fit_bounded_plays(u, y, np.arange(u.size) // 40, np.arange(u.size) < 4)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"radii": [0.1]}, "radii: found 1"),
+        ({"radii": [-0.1, 0.2]}, "radii"),
+        ({"high": 10.0}, "high: found 10, need one above low, 20"),
+        ({"exponent": 0.0}, "exponent"),
+    ],
+)
+def test_bounded_plays_that_cannot_be_are_refused(change, words):
+    good = {"weights": [1.0, 2.0], "radii": [0.0, 0.1], "low": 20.0, "high": 100.0, "exponent": 1.0}
+    with pytest.raises(ValueError, match=words):
+        BoundedPlays(**(good | change))

@@ -68,3 +68,19 @@ def test_what_cannot_stand_in_a_model_file_is_refused(tmp_path, name, value):
     with pytest.raises(ValueError, match=name):
         save_model_parameters(tmp_path / "model.yaml", {name: value})
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.99])
+def test_a_file_that_was_cut_off_is_told(tmp_path, share):
+    values = {f"model.thermal.t{k}": float(k) for k in range(40)}
+    save_model_parameters(tmp_path / "model.yaml", values, comment="fitted")
+    assert load_model_parameters(tmp_path / "model.yaml") == values
+    lines = (tmp_path / "model.yaml").read_text().splitlines(keepends=True)
+    (tmp_path / "half.yaml").write_text("".join(lines[: int(share * len(lines))]))
+    with pytest.raises(
+        ValueError, match=r"half\.yaml: is cut off, its end is missing; give a file that `fit` wrote"
+    ):
+        load_model_parameters(tmp_path / "half.yaml")
+    # one without the mark, of an earlier version or by hand, is taken as it is
+    (tmp_path / "old.yaml").write_text("/**:\n  ros__parameters:\n    model.device: integrated\n")
+    assert load_model_parameters(tmp_path / "old.yaml") == {"model.device": "integrated"}

@@ -9,12 +9,15 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from vo2_models.io import InputError, read_yaml, write_whole
+from vo2_models.io import InputError, check_place, check_regular, load_yaml, read_bytes, write_whole
 from vo2_models.parameters import Value
 
-__all__ = ["load_model_parameters", "save_model_parameters"]
+__all__ = ["check_model_place", "load_model_parameters", "save_model_parameters"]
 
 _PREFIX = "model."
+_WHOLE, _END = b"# whole if it ends with ...\n", b"..."
+"""A line at the head of a file that ends with YAML's mark of a document's end: what was cut off is told from it."""
+_MOST_BYTES = 1 << 24
 # in C where PyYAML has it: ten times as fast, and a model is some ten thousand numbers
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
@@ -45,8 +48,31 @@ def save_model_parameters(path: str | Path, parameters: Mapping[str, Value], *, 
         plain[name] = array.tolist()
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     tree = {"/**": {"ros__parameters": plain}}
-    text = head + yaml.dump(tree, Dumper=_DUMPER, sort_keys=True, width=100)
-    write_whole(path, text)
+    document = yaml.dump(tree, Dumper=_DUMPER, sort_keys=True, width=100, explicit_end=True)
+    write_whole(path, head + _WHOLE.decode() + document)
+
+
+def check_model_place(path: str | Path, mark: str) -> None:
+    """Refuse before the work a place where a model file could not be written after it.
+
+    Parameters
+    ----------
+    path : of the file to come
+    mark : begins the comment of a file that the command wrote and may replace
+
+    Raises
+    ------
+    InputError : a folder, a place that cannot be written, or a file that was not written by the command.
+    """
+    place = Path(path)
+    if place.is_dir():
+        raise InputError(f"{place}: is a folder, need the name of a file, such as {place / 'model.yaml'}")
+    check_place(place)
+    if place.exists():
+        check_regular(place)
+        with place.open("rb") as file:
+            if not file.read(len(mark) + 2).decode(errors="replace").startswith(f"# {mark}"):
+                raise InputError(f"{place}: exists and was not {mark}; move it away or name another file")
 
 
 def load_model_parameters(path: str | Path) -> dict[str, Value]:
@@ -62,11 +88,14 @@ def load_model_parameters(path: str | Path) -> dict[str, Value]:
 
     Raises
     ------
-    ValueError : not a ROS parameter file, no `model.*` in it, or one that is neither finite numbers nor a text; the
-        message names the file and the parameter.
+    ValueError : not a ROS parameter file, one that was cut off, no `model.*` in it, or one that is neither finite numbers nor
+        a text; the message names the file and the parameter.
     """
     try:
-        content = read_yaml(path)
+        text = read_bytes(path, _MOST_BYTES)
+        if _WHOLE in text and not text.rstrip().endswith(_END):
+            raise InputError(f"{path}: is cut off, its end is missing")
+        content = load_yaml(text, str(path))
     except InputError as error:
         raise InputError(f"{error}; give a file that `fit` wrote") from error
     found: dict[str, Value] = {}

@@ -81,9 +81,9 @@ def simulated_device(preset: str, rate_hz: float, parameters: ParameterTable) ->
     noise = parameters.flag("noise")
     effects = _effects(parameters.text("effects"))
     if parameters.text("source") == "model":
-        from vo2_models.device.model import DeviceModel
+        from vo2_models.device.model import EFFECTS, DeviceModel
 
-        given = parameters.given("model.")
+        given = parameters.given("model.") | parameters.undeclared(EFFECTS)
         if not given:
             raise ValueError(
                 "source: found model, need model.* parameters; load a file that fit wrote (--params-file)"
@@ -103,5 +103,7 @@ def simulated_device(preset: str, rate_hz: float, parameters: ParameterTable) ->
 def _effects(text: str) -> Mapping[str, Mapping[str, float | str]]:
     found = load_yaml(text, "effects") if text.strip() else {}
     if not isinstance(found, dict) or not all(isinstance(values, dict) for values in found.values()):
-        raise ValueError(f'effects: found {text!r}, need a mapping such as "{{creep: {{creep: 0.05}}}}"')
+        raise ValueError(
+            f'effects: found {text!r}, need a mapping such as "{{creep: {{share: 0.3, time_constant: 2.0}}}}"'
+        )
     return found

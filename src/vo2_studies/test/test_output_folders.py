@@ -67,5 +67,5 @@ def test_fit_replaces_model_files_of_its_own_only(tmp_path, capsys):
         (tmp_path / "model.yaml").write_text(text)
         arguments = ["--bag", str(bag), "--device", "integrated", "--output", str(tmp_path / "model.yaml")]
         assert fit(arguments) == 2
-        assert "model.yaml: exists and was not written by fit" in capsys.readouterr().err
+        assert "model.yaml: exists and was not fitted by `fit`" in capsys.readouterr().err
         assert (tmp_path / "model.yaml").read_text() == text

@@ -199,6 +199,11 @@ class DeviceDescription:
         found = {HEATER_CURRENT: self.drive_unit} | {r.role: r.unit for r in self.responses}
         return found | ({STAGE_TEMPERATURE: "degC"} if self.temperature_channel else {})
 
+    def in_own_names(self, text: str) -> str:
+        """Return a text in which each channel has the name that this device's file gives it, in place of its role."""
+        names = self.names
+        return re.sub(rf"\b({'|'.join(names)})\b", lambda role: names[role[0]], text)
+
     def own_unit(self, unit: str, signal: str = "") -> str:
         """Return a unit of an effect's parameter, which is written for amperes and metres, in the units of this device.
 
@@ -207,6 +212,8 @@ class DeviceDescription:
         unit : such as A/s, 1/m^2 or "channel unit/s"
         signal : role of the channel that "channel unit" stands for
 
+        Examples
+        --------
         >>> preset("integrated").own_unit("channel unit/s", "tip_deflection")
         'm/s'
         """

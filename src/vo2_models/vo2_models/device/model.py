@@ -16,6 +16,7 @@ from vo2_models.device.law_step import pack_law
 from vo2_models.device.simulation import PLAYS, Simulation, nominal_coefficients
 from vo2_models.device.stepper import Stepper
 from vo2_models.effects import effects as catalogue
+from vo2_models.effects.catalogue import VARIABLE
 from vo2_models.hysteresis.law import Law
 from vo2_models.hysteresis.laws import bank_parameters, law_from_parameters, law_parameters
 from vo2_models.hysteresis.play_bank import PlayBank
@@ -57,6 +58,10 @@ _NEUTRAL_LEFT_OUT = {
 }
 """Scalar that is 0 on most devices -> what a model file then leaves out."""
 _BANKS = ("resistance", "deflection")
+EFFECTS = "model.effects."
+"""Begins the names of the parameters of effects."""
+_OWN = tuple(f"model.{section}." for section in (*_BANKS, "driver", "thermal", "sensors", "uncertainty"))
+"""Begin names that belong to this section of a model file alone."""
 
 
 @dataclass(frozen=True)
@@ -295,8 +300,17 @@ class DeviceModel:
 
         Raises
         ------
-        ValueError : no device named, or a value that is not allowed.
+        ValueError : no device named, a name in a section of the model that is none of it, or a value that is not allowed.
         """
+        known = {p.name for p in PARAMETERS}
+        for name in sorted(set(parameters) - known):
+            if name.startswith(EFFECTS):
+                raise ValueError(
+                    f"{name}: is no parameter of an effect that is known here; correct it, or give the folder of the effect's "
+                    f"file (--effects DIR, or the variable {VARIABLE})"
+                )
+            if name.startswith(_OWN):
+                raise ValueError(f"{name}: is no parameter of a model; correct it or take it out")
         given = {p.name: p.check(parameters[p.name]) for p in PARAMETERS if p.name in parameters}
         device = given.get("model.device", "")
         if not device:

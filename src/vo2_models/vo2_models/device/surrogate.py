@@ -18,6 +18,8 @@ def temperature_of_surrogate(device: str, current: ArrayLike) -> NDArray[np.floa
     device : see `preset`
     current : [A], any shape
 
+    Examples
+    --------
     >>> round(float(temperature_of_surrogate("integrated", 8.49e-3)), 2)
     94.8
     """
@@ -37,6 +39,8 @@ def surrogate_of_temperature(device: str, temperature: ArrayLike) -> NDArray[np.
     device : see `preset`
     temperature : [degC], any shape
 
+    Examples
+    --------
     >>> round(1e3 * float(surrogate_of_temperature("integrated", 94.8)), 2)
     8.49
     """

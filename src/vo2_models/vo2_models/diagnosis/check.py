@@ -77,7 +77,7 @@ def check_recording(recording: Recording, nominal: Nominal, *, name: str = "reco
     # a rig may call itself what it likes; a preset's name is a claim
     if recording.device in PRESETS and recording.device != preset(nominal.device).id:
         raise Unusable(
-            f"{name}: was recorded on device {recording.device!r}, the model is of {nominal.device!r}; "
+            f"{name}: was recorded on device {recording.device!r}, the model is of {preset(nominal.device).id!r}; "
             "give the model of this device"
         )
     if len(recording) < SHORTEST:
@@ -98,6 +98,11 @@ def check_recording(recording: Recording, nominal: Nominal, *, name: str = "reco
     if units := [text for text in odd if "check the unit" in text]:
         raise Unusable(f"{name}: {'; '.join(units)}")
     findings = [Finding("odd", text) for text in odd]
+    own = preset(nominal.device).id
+    if recording.device and recording.device != own:
+        findings.append(
+            Finding("device", f"{name}: says that it is of device {recording.device}, the model is of {own}")
+        )
     if len(recording) < FEW:
         findings.append(
             Finding(
@@ -198,11 +203,12 @@ def _drive(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:
     good = np.isfinite(current)
     if np.count_nonzero(good) < 0.5 * current.size:
         raise Unusable(f"{name}: heater_current is missing from more than half of the samples")
-    low, high = preset(nominal.device).operating_range
+    device = preset(nominal.device)
+    low, high = device.operating_range
     extent = float(np.ptp(current[good]))
     if extent < 0.01 * abs(high - low):
         raise Unusable(
-            f"{name}: heater_current is constant (varies by {extent:.3g} A), need an excitation; "
+            f"{name}: heater_current is constant (varies by {extent:.3g} {device.drive_unit}), need an excitation; "
             "record a composite sequence"
         )
     if extent < 0.3 * abs(high - low):

@@ -68,7 +68,10 @@ def _reversed(part: Part, response: Response) -> str:
     if not upside:
         return ""
     if len(upside) == len(against) > 1:
-        return f"{' and '.join(upside)} run against the simulation: is the sign of heater_current reversed?"
+        return (
+            f"{' and '.join(upside)} run against the simulation: is the sign of heater_current reversed, or are the two "
+            "channels swapped?"
+        )
     return (
         f"{' and '.join(upside)} runs against the simulation: is its sign reversed, is it another column, "
         "or late by half a cycle?"

@@ -160,7 +160,11 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
         equivalent: tuple[str, ...] = ()
         ahead = False
         if located.own_misfit:
-            admissible = admissible and len(option.chosen.keys) == 1
+            # what an unchanged device may miss on another path is explained by many effects
+            small = (
+                located.within_misfit(limits.unlike_misfit) and located.total_excess < limits.channel_excess
+            )
+            admissible = admissible and not small and len(option.chosen.keys) == 1
             equivalent, ahead = _as_adequate(located, option, found.singles, limits, clock)
         rivals, remaining = option.rivals, option.remaining
         # with a body an effect in the place of constants is judged by itself, below

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
+from vo2_models.diagnosis.check import Unusable
 from vo2_models.diagnosis.decide import decide, told_as, without_a_name
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import locate
@@ -88,9 +89,12 @@ def study(
     )
     # the cores run fits in parallel: threads inside BLAS would only wait for each other
     with threadpool_limits(1, user_api="blas"):
-        reading = read(
-            [*calibration, *recordings], nominal, names, limits, clock, calibrations=len(calibration)
-        )
+        try:
+            reading = read(
+                [*calibration, *recordings], nominal, names, limits, clock, calibrations=len(calibration)
+            )
+        except Unusable as error:
+            raise Unusable(nominal.model.description.in_own_names(str(error))) from error
         located = locate(reading, limits, clock)
         found = search(located, limits, clock, one_loop=reading.one_loop, first_use=reading.first_use)
         decision = decide(located, found, reading, limits, clock)

@@ -107,6 +107,10 @@ def read(
     clock.say("checking the data")
     if not recordings:
         raise Unusable("recording: found none, need at least one")
+    if len(devices := list(dict.fromkeys(one.device for one in recordings if one.device))) > 1:
+        raise Unusable(
+            f"recordings: found recordings of the devices {' and '.join(devices)}, need those of one device"
+        )
     findings: list[Finding] = []
     parts = []
     for number, raw in enumerate(recordings, 1):

@@ -87,7 +87,7 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
         fit=_fit(study),
         indistinguishable=pairs,
         next_experiment=decision.proposal,
-        summary=_shown_in_words(study, shown) + _summary(study, effects, pairs),
+        summary=_device_in_words(study) + _shown_in_words(study, shown) + _summary(study, effects, pairs),
         limits=[
             *limits_in_words(study.reading.findings),
             *_by_recording(study),
@@ -113,12 +113,11 @@ def in_own_names(found: Any, study: Study) -> Any:
     found : that has their roles, as the shipped devices call them, in texts and keys
     study : of the device
     """
-    names = study.located.problem.nominal.model.description.names
-    role = re.compile(rf"\b({'|'.join(names)})\b")
+    description = study.located.problem.nominal.model.description
 
     def own(value: Any) -> Any:
         if isinstance(value, str):
-            return role.sub(lambda match: names[match[0]], value)
+            return description.in_own_names(value)
         if isinstance(value, Mapping):
             return {own(key): own(entry) for key, entry in value.items()}
         if isinstance(value, list):
@@ -753,6 +752,11 @@ def _floor(study: Study) -> str:
         if 0.0 < MISFITTED * noise < nominal.noise[channel].level:
             return "noise and misfit of the calibration"
     return "the noise"
+
+
+def _device_in_words(study: Study) -> str:
+    """What says that a recording is of another device, before all else."""
+    return "".join(f"{f.text}. " for f in study.reading.findings if f.kind == "device")
 
 
 def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -> str:

@@ -169,6 +169,25 @@ SETTLED: Mapping[str, Mapping[str, str]] = {
 """Stage -> what `settled`, which returns the states after a long rest, can take besides parameters."""
 
 
+_CHANNELS = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
+_TRIED: Mapping[str, Mapping[str, float]] = {
+    "driver": {"current": 5e-3, "previous": 5e-3, "time": 1.0, "period": 1e-3},
+    "terminals": {"value": 1e4, "current": 5e-3, "time": 1.0, "film": 60.0},
+    "structure": {"deflection": 1e-5, "period": 1e-3, "film": 60.0, "fraction": 0.5},
+    "sensor": {"value": 2.0, "time": 1.0, "period": 1e-3, "sample": 10.0, "current": 5e-3},
+}
+"""Stage -> quantities with which its hooks are tried."""
+_SAME = {
+    "drive": "current", "delay": "", "terminals": "value", "bending": "", "structure": "deflection", "sensor": "value",
+    "converter": "value",
+}  # fmt: skip
+"""Hook -> quantity that it gives back while the effect is off; nothing stands for 0."""
+_SEVERAL = {"loss": 2, "body": 2}
+"""Hook -> how many numbers it gives where that is not one."""
+_ROUNDING = 1e-12
+_NUMBER = (int, float, np.number)
+
+
 @dataclass(frozen=True)
 class State:
     """One memory of an effect.
@@ -330,6 +349,21 @@ class Effect:
                 raise ValueError(
                     f"{where}: parameter {p.name}: found bounds {p.lower} to {p.upper}, need lower < upper"
                 )
+            if not p.lower <= float(p.default) <= p.upper:  # type: ignore[arg-type]
+                raise ValueError(
+                    f"{where}: parameter {p.name}: found the neutral value {p.default}, need one within {p.lower:g} to "
+                    f"{p.upper:g}"
+                )
+        for channel in (self.channels,) if isinstance(self.channels, str) else self.channels:
+            if channel not in _CHANNELS or isinstance(self.channels, str):
+                raise ValueError(
+                    f"{where}: channels: found {channel!r}, need a tuple of some of {', '.join(_CHANNELS)}"
+                )
+        for key, ranges in self.typical.items():
+            if strange := sorted(set(ranges) - {p.name for p in self.parameters}):
+                raise ValueError(
+                    f"{where}: typical: {key}: found {', '.join(strange)}, need parameters of the effect"
+                )
         for need in self.needs:
             if need not in NEEDS:
                 raise ValueError(f"{where}: needs: found {need!r}, need some of {', '.join(NEEDS)}")
@@ -367,6 +401,30 @@ class Effect:
                         f"{where}: hook {name}: found the argument {argument!r}, need some of "
                         f"{', '.join([*takes, *sorted(known)])}"
                     )
+        self._check_neutral(where)
+
+    def _check_neutral(self, where: str) -> None:
+        """Raise where a hook without memory gives no number, or changes something while every parameter is neutral."""
+        for name, hook in self.hooks.items():
+            given = {**_TRIED.get(self.stage, {}), **self.neutral()}
+            arguments = list(inspect.signature(hook).parameters)
+            if name not in HOOKS or not set(arguments) <= set(given):
+                continue
+            try:
+                found = hook(*(given[argument] for argument in arguments))
+            except ZeroDivisionError:
+                continue  # an effect that is off is not run, so that its hook need not be defined there
+            numbers = found if isinstance(found, tuple) else (found,)
+            if len(numbers) != _SEVERAL.get(name, 1) or not all(isinstance(one, _NUMBER) for one in numbers):
+                raise ValueError(
+                    f"{where}: hook {name}: found {found!r} with neutral parameters, need {HOOKS[name].gives}"
+                )
+            same = given.get(_SAME.get(name, ""), 0.0)
+            if name in _SAME and abs(float(numbers[0]) - same) > _ROUNDING * abs(same):
+                raise ValueError(
+                    f"{where}: hook {name}: found {float(numbers[0]):g} of {same:g} with neutral parameters, need {same:g}: an "
+                    "effect that is off changes nothing"
+                )
 
 
 def constant_of(

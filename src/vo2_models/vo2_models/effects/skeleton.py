@@ -8,6 +8,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from vo2_models.effects.catalogue import effect_ids
+
 __all__ = ["main", "skeleton"]
 
 _TEXT = '''"""TITLE: one line."""
@@ -60,12 +62,14 @@ def skeleton(name: str) -> str:
 
     Raises
     ------
-    ValueError : a name that is no identifier of Python in small letters.
+    ValueError : a name that is no identifier of Python in small letters, or an effect's that is known.
     """
     if not name.isidentifier() or keyword.iskeyword(name) or name != name.lower():
         raise ValueError(
             f"NAME: found {name!r}, need small letters, digits and underscores, as in slow_anchor"
         )
+    if name in effect_ids():
+        raise ValueError(f"NAME: found {name!r}, which the catalogue has already; give another")
     return _TEXT.replace("NAME", name).replace("TITLE", name.replace("_", " ").capitalize())
 
 

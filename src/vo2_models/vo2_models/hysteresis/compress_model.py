@@ -24,6 +24,7 @@ __all__ = ["Change", "compress_levels", "compress_plays_of"]
 
 Floats = NDArray[np.float64]
 
+_UNCERTAINTY = "model.uncertainty."
 SATURATED = 3.0
 """Argument of a tanh envelope from which on it counts as saturated: tanh 3 = 0.995."""
 PROBE_LEVEL = 24
@@ -67,7 +68,7 @@ def compress_plays_of(values: Mapping[str, Value], plays: int) -> tuple[dict[str
     banks = {
         name.removesuffix(".rising_slopes"): np.size(values[name])
         for name in sorted(values)
-        if name.endswith(".rising_slopes")
+        if name.endswith(".rising_slopes") and not name.startswith(_UNCERTAINTY)
     }
     most = max(banks.values(), default=0)
     if most == 0:
@@ -104,7 +105,7 @@ def compress_levels(values: Mapping[str, Value], level: int) -> tuple[dict[str, 
     grids = {
         name.removesuffix(".walls"): np.size(values[name]) - 1
         for name in sorted(values)
-        if name.endswith(".walls")
+        if name.endswith(".walls") and not name.startswith(_UNCERTAINTY)
     }
     most = max(grids.values(), default=0)
     if most == 0:
@@ -175,5 +176,5 @@ def _fewer(bank: PlayBank, plays: int) -> tuple[PlayBank, float]:
 
 def _without_uncertainty(values: dict[str, Value], changes: list[Change]) -> dict[str, Value]:
     """Standard deviations belong to the parameters that were fitted, not to those of a compression."""
-    stale = tuple(f"model.uncertainty.{c.section.removeprefix('model.')}." for c in changes)
+    stale = tuple(f"{_UNCERTAINTY}{c.section.removeprefix('model.')}." for c in changes)
     return {name: value for name, value in values.items() if not (stale and name.startswith(stale))}

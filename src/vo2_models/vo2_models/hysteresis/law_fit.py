@@ -25,6 +25,7 @@ from vo2_models.hysteresis.bouc_wen import BoucWen
 from vo2_models.hysteresis.domains import DomainEnsemble
 from vo2_models.hysteresis.fitting_gpi import fit_play_model
 from vo2_models.hysteresis.law import Law, Saturation
+from vo2_models.hysteresis.laws import FITS
 from vo2_models.hysteresis.limiting_loop import GAMMA, LimitingLoop
 from vo2_models.hysteresis.preisach.smooth_fit import STRENGTHS, fit_smooth
 from vo2_models.hysteresis.preisach.sparse_fit import choose_sparse
@@ -209,6 +210,18 @@ def _sparse(u: Floats, y: Floats, label: NDArray[np.int64], measured: Booleans) 
     return law, law.initial_memory()
 
 
+def _filed(
+    law_of: Callable[..., Law],
+) -> Callable[[Floats, Floats, NDArray[np.int64], Booleans], tuple[Law, Floats]]:
+    """Return the fit of a law that its own file gives."""
+
+    def fit(u: Floats, y: Floats, label: NDArray[np.int64], measured: Booleans) -> tuple[Law, Floats]:
+        law = law_of(u, y, label, measured)
+        return law, law.initial_memory()
+
+    return fit
+
+
 def _plays(memoryless: str) -> Callable[[Floats, Floats, NDArray[np.int64], Booleans], tuple[Law, Floats]]:
     def fit(u: Floats, y: Floats, label: NDArray[np.int64], measured: Booleans) -> tuple[Law, Floats]:
         found = fit_play_model(u, y, plays=PLAYS, memoryless=memoryless, measured=measured)
@@ -351,5 +364,6 @@ FITTED: Mapping[str, Callable[[Floats, Floats, NDArray[np.int64], Booleans], tup
     "gpi": _plays("none"),
     "egpi": _plays("cubic"),
     **{name: _projected(shape) for name, shape in _SHAPES.items()},
+    **{name: _filed(law_of) for name, law_of in FITS.items()},
 }
 """Name -> fit of the law to the samples that are measured: (u, y, excursions, measured) -> law, memory before them."""

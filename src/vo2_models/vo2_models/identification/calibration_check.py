@@ -53,8 +53,16 @@ def check_calibration(
     checked, notes = [], []
     nominal = preset(device)
     still = _constant(recordings, nominal.channels[1:])
+    if len(devices := list(dict.fromkeys(one.device for one in recordings if one.device))) > 1:
+        raise ValueError(
+            f"recordings: found recordings of the devices {' and '.join(devices)}, need those of one device"
+        )
     for k, recording in enumerate(recordings):
         name = names[k] if k < len(names) else f"recording {k + 1}"
+        if recording.device and recording.device != nominal.id:
+            notes.append(
+                f"{name}: says that it is of device {recording.device}, it is fitted as device {nominal.id}"
+            )
         least = _SHORTEST if nominal.has_body else _SHORTEST_QUASI_STATIC
         if len(recording) < least:
             raise ValueError(f"{name}: found {len(recording)} samples, need at least {least}")

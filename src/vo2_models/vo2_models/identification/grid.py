@@ -64,7 +64,9 @@ def on_grid(recording: Recording) -> GriddedRecording:
     if len(recording) < 16:
         raise ValueError(f"recording: found {len(recording)} samples, need at least 16")
     if HEATER_CURRENT not in recording and COMMANDED_CURRENT not in recording:
-        raise ValueError(f"recording: found channels {', '.join(recording.channels)}, need {HEATER_CURRENT}")
+        raise ValueError(
+            f"recording: found channels {', '.join(recording.channels) or 'none'} of this device, need {HEATER_CURRENT}"
+        )
     dt = recording.sample_period_s
     count = int((recording.time_s[-1] - recording.time_s[0]) / dt) + 1
     if count > max(LONGEST_GAP, 4 * len(recording)):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -78,11 +79,12 @@ def fit_model(
     ------
     ValueError : recordings that cannot be fitted; the message says why.
     """
+    described = preset(device)
     # the matrices are small: threads inside BLAS would only wait for each other where the processors are busy
-    with threadpool_limits(1, user_api="blas"):
+    with threadpool_limits(1, user_api="blas"), _own_names(described):
         delay = command_delay(recordings)
         recordings, notes = check_calibration([aligned(r, delay) for r in recordings], device, names=names)
-        description = completed(preset(device), recordings)
+        description = completed(described, recordings)
         if description.has_body:
             result = fit_device(recordings, description.key, plays=plays, progress=progress)
             known, told = _better_known(recordings, result)
@@ -113,6 +115,18 @@ def fit_model(
         if not description.has_body:
             parameters |= _rig_digest(result, recordings[0])
         return result, parameters
+
+
+@contextmanager
+def _own_names(device: DeviceDescription) -> Iterator[None]:
+    """What is refused is told with the names of the device's own file."""
+    try:
+        yield
+    except ValueError as error:
+        told = device.in_own_names(str(error))
+        if told == str(error):
+            raise
+        raise ValueError(told) from error
 
 
 def _better_known(recordings: Sequence[Recording], result: FitResult) -> tuple[list[Recording], list[str]]:

@@ -27,7 +27,18 @@ from vo2_models.identification.noise import residual_colour
 from vo2_models.identification.play_dictionary import DictionaryFit, PlayDictionary, fit_dictionary
 from vo2_models.recording import TIP_DEFLECTION
 
-__all__ = ["LAGS", "RigDynamics", "after", "choose_dynamics", "loop_path", "relaxing", "ringing"]
+__all__ = [
+    "DAMPED",
+    "FASTEST",
+    "LAGS",
+    "RigDynamics",
+    "after",
+    "choose_dynamics",
+    "loop_path",
+    "relaxing",
+    "ringing",
+    "sensing",
+]
 
 Floats = NDArray[np.float64]
 COLD = -300.0
@@ -40,11 +51,11 @@ _RELAXED = 0.8
 a mode, which has two numbers to fit."""
 _PERIODS, _DAMPINGS = (3.0, 6.0, 12.0, 24.0, 48.0), (0.05, 0.3)
 """Periods of a mode, in sample periods, and damping ratios tried first, beside those that the residual shows."""
-_FASTEST = 2.2
+FASTEST = 2.2
 """Shortest period of a mode, in sample periods: about what sampling can show."""
 _SEEN = 0.95
 """Share of the held-out error of what is simpler, with coarse plays, from which a mode is looked for more closely."""
-_DAMPED, _LEAST_LAG = (1e-3, 1.0), 0.1
+DAMPED, _LEAST_LAG = (1e-3, 1.0), 0.1
 """Damping ratios of a mode, and the shortest lag beside it in sample periods."""
 _POLES, _MODE_STEPS = 8, 60
 """Order of the autoregression whose poles are tried, and evaluations of the search."""
@@ -70,6 +81,7 @@ class RigDynamics:
     falling : whether the lower saturation is at the upper end of the drive
     lag, delay, relaxation : [s], of the drive, of the drive, of what has hysteresis behind it, which has no delay and no
         lag of the drive besides
+    behind : lag of the sensor behind the loops [s]
     frequency, damping : of a mode behind the loops of what moves [Hz, 1], 0 where there is none
     slow_share, slow : part of what the drive does that arrives through a second, slower lag [1], and that lag [s]
     degree : of the memoryless part
@@ -81,6 +93,7 @@ class RigDynamics:
     lag: float = 0.0
     delay: float = 0.0
     relaxation: float = 0.0
+    behind: float = 0.0
     frequency: float = 0.0
     damping: float = 0.0
     slow_share: float = 0.0
@@ -201,6 +214,31 @@ def ringing(grids: Sequence[GriddedRecording], dynamics: RigDynamics) -> Late | 
     return Late(_filtered(grids, step), whole=True)
 
 
+def sensing(grids: Sequence[GriddedRecording], dynamics: RigDynamics) -> Late | None:
+    """Return what all of a response along `loop_path` goes through where its sensor lags: tau dz/dt = y - z.
+
+    As `sensor_lag` does on a device without body: between samples y goes straight. Each recording begins at rest.
+
+    Parameters
+    ----------
+    grids : recordings, m samples together
+    dynamics : with the time constant tau [s]
+
+    Returns
+    -------
+    of (m + recordings, k) columns, one row before each recording, or None
+    """
+    if not dynamics.behind:
+        return None
+
+    def step(dt: float) -> tuple[Floats, Floats]:
+        left = np.exp(-dt / dynamics.behind)
+        mean = (1.0 - left) * dynamics.behind / dt
+        return np.array([1.0 - mean, mean - left]), np.array([1.0, -left])
+
+    return Late(_filtered(grids, step), whole=True)
+
+
 def _filtered(
     grids: Sequence[GriddedRecording], step: Callable[[float], tuple[Floats, Floats]]
 ) -> Callable[[Floats], Floats]:
@@ -289,8 +327,8 @@ def choose_dynamics(
             f, z, lag = np.exp(vector)
             return replace(
                 first,
-                frequency=float(min(f, 1.0 / (_FASTEST * dt))),
-                damping=float(np.clip(z, *_DAMPED)),
+                frequency=float(min(f, 1.0 / (FASTEST * dt))),
+                damping=float(np.clip(z, *DAMPED)),
                 lag=float(np.clip(lag, _LEAST_LAG * dt, LAGS[-1] * dt)),
             )
 
@@ -359,5 +397,5 @@ def _modes_of(left: Floats, dt: float) -> list[tuple[float, float]]:
     """Frequency [Hz] and damping of what a residual (n,) rings with: the poles of its autoregression that turn."""
     colour = np.array(residual_colour(left, _POLES))
     poles = np.log(np.roots(np.r_[1.0, -colour]).astype(np.complex128))
-    turning = poles[(poles.imag > 0.0) & (poles.imag < 2.0 * np.pi / _FASTEST) & (poles.real < 0.0)]
+    turning = poles[(poles.imag > 0.0) & (poles.imag < 2.0 * np.pi / FASTEST) & (poles.real < 0.0)]
     return [(abs(p) / (2.0 * np.pi * dt), float(-p.real / abs(p))) for p in turning]

@@ -45,8 +45,10 @@ from vo2_models.identification.rig_dynamics import (
     loop_path,
     relaxing,
     ringing,
+    sensing,
 )
 from vo2_models.identification.rig_heat import RigHeat, choose_heat, free_run, heat_path, heat_scalars
+from vo2_models.identification.rig_plays import bounded_loop, dynamics_of_plays
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
 
 __all__ = ["fit_rig"]
@@ -60,6 +62,8 @@ _STEPS = 40
 _ROUNDS = 2
 _RELAXING = ("", PLAYS, AUTO)
 """Choices of a law that leave plays, the only ones that are fitted behind a relaxation."""
+_BOUNDED = ("", AUTO, "bounded_plays")
+"""Choices of a law that leave bounded plays, the only ones that a lag of the sensor is sought with."""
 LAG_OFF = 0.02
 """Standard deviation of a found lag, as a share of it: on two looked-at rigs that others wrote it was 1 % off."""
 _SHORT, _LONGEST = 2_000, 20_000
@@ -119,30 +123,38 @@ def fit_rig(
         heat = choose_heat(grids, device, values, dynamics)
     if heat.kind == "drive":
         heat = replace(heat, dynamics=_by_the_law(grids, device, values, heat.dynamics))
+    whole, folds = device, {role: _folds(grids, values[role]) for role in roles}
+    device, model, path = _assembled(grids, whole, heat)
+    fits: dict[str, LoopLaw] = {}
+    for k, role in enumerate(roles):
+        say(f"loop of {device.names[role]}", 0.4 + 0.4 * k / len(roles))
+        late = _late(grids, device, heat.dynamics, role)
+        fits[role] = _loop(path, values[role], heat.dynamics.degree, folds[role], law, late)
+    if len(roles) == 1 and heat.kind == "drive" and not coverage.one_rate and law in _BOUNDED:
+        role = roles[0]
+        say("lags beside plays between ends", 0.8)
+        better = dynamics_of_plays(grids, whole, values[role], folds[role], heat.dynamics, fits[role].misfit)
+        if better:
+            heat = replace(heat, dynamics=better)
+            device, model, path = _assembled(grids, whole, heat)
+            late = sensing(grids, better) or ringing(grids, better)
+            fits[role] = bounded_loop(path, values[role], folds[role], late)
     dynamics = heat.dynamics
-    ends = (high, low) if dynamics.falling else (low, high)
-    if ends != device.operating_range:
-        device = device.running(ends)
-    inside: dict[str, dict[str, float]] = {}
-    if dynamics.relaxation:
-        inside["transition_kinetics"] = {"time_constant": float(dynamics.relaxation)}
-    if dynamics.frequency:
-        inside["cantilever_resonance"] = {
-            "share": 1.0, "frequency": dynamics.frequency, "damping": dynamics.damping,
-        }  # fmt: skip
-    model = DeviceModel(device.key, scalars=heat_scalars(heat, device), effects=inside)
-    relaxed, rings = relaxing(grids, device, dynamics), ringing(grids, dynamics)
-    path = heat_path(grids, device, heat)[0] if model.heats else film_path(model, grids, True)
     notes = [*coverage.notes, *heat.notes(device)]
-    if rings:
+    if dynamics.frequency:
         notes.append(
             f"{device.names[TIP_DEFLECTION]} rings at {dynamics.frequency:.4g} Hz with a damping ratio of {dynamics.damping:.2g} "
             "(cantilever_resonance in the model)"
         )
-    if relaxed:
+    if dynamics.relaxation:
         notes.append(
             f"what has hysteresis relaxes with a time constant of {dynamics.relaxation:.3g} s, the memoryless part does not "
             "(transition_kinetics in the model)"
+        )
+    if dynamics.behind:
+        notes.append(
+            f"{device.names[roles[0]]} follows what has hysteresis with a time constant of {dynamics.behind:.3g} s "
+            "(sensor_lag in the model)"
         )
     laws: dict[str, Law] = {}
     sensors: dict[str, SensorModel] = {}
@@ -151,31 +163,26 @@ def fit_rig(
     uncertainty: dict[str, tuple[float, ...]] = (
         {"thermal.time_constant": (LAG_OFF * lag,)} if dynamics.lag else {}
     )
-    for k, role in enumerate(roles):
+    for role, fit in fits.items():
         channel = device.names[role]
-        say(f"loop of {channel}", 0.4 + 0.5 * k / len(roles))
-        fold = folds_of_recordings([grid.current for grid in grids], fold_of(np.isfinite(values[role])))
-        late = rings if role == TIP_DEFLECTION and rings else relaxed
-        fit = _loop(path, values[role], dynamics.degree, fold, law, late)
         notes.append(f"{channel}: {fit.words}")
         section = SECTIONS[role]
         laws[section] = fit.law
         uncertainty |= {f"{section}.{name}": std for name, std in fit.uncertainty.items()}
-        if model.heats:
-            fit = _run_freely(_with_laws(model, laws), grids, role, values[role], fit, heat)
-        misfit = fit.misfit
-        residuals[role] = fit.residual
-        residual = float(np.sqrt(np.nanmean(fit.residual**2)))
+        run = (
+            _run_freely(_with_laws(model, laws), grids, role, values[role], fit, heat) if model.heats else fit
+        )
+        residuals[role] = run.residual
         noise = device.noise.get(role, noise_of_recordings(recordings, role))
         sensors[role] = SensorModel(
             noise=noise,
-            residual=residual,
-            misfit=misfit,
-            residual_colour=residual_colour(fit.residual, LONGEST),
+            residual=float(np.sqrt(np.nanmean(run.residual**2))),
+            misfit=run.misfit,
+            residual_colour=residual_colour(run.residual, LONGEST),
         )
         level = noise / np.log(10.0) if role == RESISTANCE else noise
         unit = "log10 ohm" if role == RESISTANCE else device.units[role]
-        if note := misfit_note(grids, device, channel, unit, fit.residual, values[role], level):
+        if note := misfit_note(grids, device, channel, unit, run.residual, values[role], level):
             notes.append(note)
     return FitResult(
         model=replace(
@@ -189,6 +196,41 @@ def fit_rig(
         settled=not model.heats,
         notes=tuple(notes),
     )
+
+
+def _folds(grids: Sequence[GriddedRecording], values: Floats) -> NDArray[np.int64]:
+    return folds_of_recordings([grid.current for grid in grids], fold_of(np.isfinite(values)))
+
+
+def _late(
+    grids: Sequence[GriddedRecording], device: DeviceDescription, dynamics: RigDynamics, role: str
+) -> Late | None:
+    """What a response goes through behind its loops, of what `choose_dynamics` finds."""
+    rings = ringing(grids, dynamics) if role == TIP_DEFLECTION else None
+    return rings or relaxing(grids, device, dynamics)
+
+
+def _assembled(
+    grids: Sequence[GriddedRecording], device: DeviceDescription, heat: RigHeat
+) -> tuple[DeviceDescription, DeviceModel, Floats]:
+    """The device in its sense, the model without laws, and the path of the loop coordinate through all recordings."""
+    dynamics, (low, high) = heat.dynamics, sorted(device.operating_range)
+    ends = (high, low) if dynamics.falling else (low, high)
+    if ends != device.operating_range:
+        device = device.running(ends)
+    inside: dict[str, dict[str, float | str]] = {}
+    if dynamics.relaxation:
+        inside["transition_kinetics"] = {"time_constant": float(dynamics.relaxation)}
+    if dynamics.frequency:
+        inside["cantilever_resonance"] = {
+            "share": 1.0, "frequency": dynamics.frequency, "damping": dynamics.damping,
+        }  # fmt: skip
+    if dynamics.behind:
+        (role,) = (role for role in SECTIONS if role in device.channels)
+        inside[f"sensor_lag:{role}"] = {"time_constant": dynamics.behind, "signal": role}
+    model = DeviceModel(device.key, scalars=heat_scalars(heat, device), effects=inside)
+    path = heat_path(grids, device, heat)[0] if model.heats else film_path(model, grids, True)
+    return device, model, path
 
 
 def _by_the_law(
@@ -256,7 +298,7 @@ def _loop(
         )
     plays = _plays(path, values, degree, fold, late)
     alone = late is not None and not late.whole
-    names = () if law == PLAYS or alone else tuple(FITTED) if law == AUTO else ("preisach",)
+    names = () if law == PLAYS or alone else tuple(FITTED) if law == AUTO else ("preisach", "bounded_plays")
     others = [_before(late, plays, name, path, values, fold) for name in names]
     return better_of(plays, others)
 

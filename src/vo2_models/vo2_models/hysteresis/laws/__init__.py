@@ -1,12 +1,14 @@
 """The hysteresis laws by name, and the law of a section of a model file.
 
-To add a law, add a file to this folder that ends with `EXAMPLE`, one such law over a temperature in degC, with the output
--log10 R: model files, nodes, devices and fits know its class from then on, and the tests of the protocol run on the example.
+To add a law, add a file to this folder with `EXAMPLE`, one such law over a temperature in degC, with the output -log10 R: model
+files, nodes and devices know its class from then on, and the tests of the protocol run on the example. With `FIT`,
+which returns a law of inputs (n,), outputs (n,), the part that each sample is held out with (n,) and whether it is measured (n,),
+`fit --law` knows it too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from importlib import import_module
 from pkgutil import iter_modules
@@ -24,7 +26,16 @@ from vo2_models.hysteresis.preisach.nonmonotonic import NonMonotonicPreisach
 from vo2_models.hysteresis.preisach.operator import PreisachOperator
 from vo2_models.parameters import Parameter, Value
 
-__all__ = ["ADDED", "FILED", "LAWS", "bank_parameters", "law_from_parameters", "law_parameters", "scaled_law"]
+__all__ = [
+    "ADDED",
+    "FILED",
+    "FITS",
+    "LAWS",
+    "bank_parameters",
+    "law_from_parameters",
+    "law_parameters",
+    "scaled_law",
+]
 
 
 def _added() -> dict[str, Law]:
@@ -44,6 +55,12 @@ def _added() -> dict[str, Law]:
 
 ADDED: Mapping[str, Law] = _added()
 """Name -> example of the law of each file in this folder."""
+FITS: Mapping[str, Callable[..., Law]] = {
+    name: module.FIT
+    for name, law in ADDED.items()
+    if hasattr(module := import_module(type(law).__module__), "FIT")
+}
+"""Name -> fit of the law of each file in this folder that has one."""
 KERNEL_SOURCES = tuple(str(import_module(type(law).__module__).__file__) for law in ADDED.values())
 """Files that are part of every kernel in which any law may run."""
 _OWN: tuple[type[Law], ...] = (

@@ -32,7 +32,7 @@ FEWEST_TURNING_POINTS = 30
 
 @dataclass(frozen=True, eq=False)
 class PreisachOperator(Law):
-    """u(t) = bias + integral of mu(beta, alpha) gamma_{beta, alpha}[v](t), relays gamma = +-1: (A.2), (4.1), (5.2).
+    """u(t) = bias + integral of mu(beta, alpha) gamma_{beta, alpha}[v], relays gamma = +-1: (A.2), (4.1), (5.2).
 
     The density is constant on each cell of a grid that may be non-uniform; inputs are continuous, so a cell
     may be covered in part, and then counts with the covered area. Outside the grid the operator is

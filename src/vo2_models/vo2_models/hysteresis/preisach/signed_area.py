@@ -81,7 +81,7 @@ def signed_area_matrix(
 
     Returns
     -------
-    (n, L (L + 1) / 2 [+ 1] [+ 1]) areas [input unit^2], the cells packed row by row.
+    (n, L (L + 1) / 2 and one more for each of `bias` and `linear`) areas [input unit^2], the cells packed row by row.
 
     Raises
     ------
