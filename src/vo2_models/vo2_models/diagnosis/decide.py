@@ -18,6 +18,7 @@ from vo2_models.diagnosis.held_out import HeldOut, block_folds, held_out, record
 from vo2_models.diagnosis.hypotheses import Hypothesis
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import Located
+from vo2_models.diagnosis.moved_alone import moved_alone
 from vo2_models.diagnosis.next_experiment import by_hand, propose
 from vo2_models.diagnosis.nonparametric_correction import (
     NonparametricCorrection,
@@ -118,7 +119,7 @@ def decide(located: Located, found: Search, reading: Reading, limits: Limits, cl
     """
     clock.say("judging on held-out blocks")
     folds = recording_folds(located.problem, reading.calibrations) or block_folds(located.problem)
-    verdict = _judged(located, found, folds, limits, clock)
+    verdict = _judged(located, found, folds, limits, clock, first_use=reading.first_use)
     if verdict.option is not None:
         return _named(located, found, verdict, verdict.option, limits, clock, one_loop=reading.one_loop)
     return _unnamed(located, found, verdict, folds, limits, clock, first_use=reading.first_use)
@@ -144,7 +145,9 @@ def without_a_name(
     return _unnamed(located, found, verdict, folds, limits, clock, first_use=reading.first_use)
 
 
-def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limits, clock: Clock) -> _Verdict:
+def _judged(
+    located: Located, found: Search, folds: Sequence[Mask], limits: Limits, clock: Clock, *, first_use: bool
+) -> _Verdict:
     """The first admissible option, with its held-out quality."""
     problem = located.problem
     rivals, remaining = found.singles, located.total_excess
@@ -171,7 +174,7 @@ def _judged(located: Located, found: Search, folds: Sequence[Mask], limits: Limi
         hidden = found.hidden and not located.nominal.model.description.has_body
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
             return _Verdict(option, judged, rivals, remaining, adequacy, shown, equivalent, ahead)
-    if found.held is not None:
+    if found.held is not None and _moved_alone(located, first_use=first_use) is None:
         option, reference = found.held.option, found.held.reference
         judged = held_out(option.final, option.chosen, reference=reference, folds=folds, tick=clock.tick)
         adequacy = adequacy_of(option, limits)
@@ -244,7 +247,8 @@ def _unnamed(
         unnamed = fit_nonparametric_correction(problem, located.remaining, block_folds(problem))
     verdict_word: Literal["agrees", "drifted", "differs"] = "differs"
     where, proposal = located.breakdown, None
-    drift = _drift(problem, problem.residual, verdict.judged)
+    alone = _moved_alone(located, first_use=first_use)
+    drift = alone or _drift(problem, problem.residual, verdict.judged)
     mimics: tuple[Hypothesis, ...] = ()
     described = 0.0 if unnamed is None else max(unnamed.share, verdict.shown)
     if unnamed is None or (described < limits.share and _is_small(located, verdict.judged, limits)):
@@ -263,6 +267,13 @@ def _unnamed(
         drift=drift, mimics=mimics, adequacy=verdict.adequacy,
         unlike_noise=loud and unnamed is None,
     )  # fmt: skip
+
+
+def _moved_alone(located: Located, *, first_use: bool) -> Drift | None:
+    """Few constants that explain by themselves what differs, of a device with a body whose calibration was another day's."""
+    if first_use or not located.nominal.model.description.has_body:
+        return None
+    return moved_alone(located.problem)
 
 
 def _drift(problem: LinearisedProblem, residual: Floats, judged: HeldOut) -> Drift:

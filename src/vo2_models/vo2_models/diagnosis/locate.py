@@ -27,6 +27,8 @@ SETTLED, SETTLED_BESIDE = 0.002, 0.02
 """Relative drop of chi-square with which moving the constants further ends: by themselves, and beside a large effect."""
 BESIDE = 5.0
 """Chi-square over samples from which constants follow an effect that is no move of them, and are not sought further."""
+MISTAKEN = 4.0
+"""Deviations by which a constant may differ from the calibration's own value, of a device that has not changed."""
 FLAT = 10.0
 """Change of chi-square that is none."""
 SLOW, FURTHER = 3, 0.25
@@ -138,10 +140,12 @@ def _relinearise_constants(
             say=clock.say,
         )
 
+    # a number that the calibration has told is not wrong by many of its deviations: such a move is an effect's
+    most = np.array([np.inf if c.drifts or start.refits else MISTAKEN for c in start.constants])
     targets: list[Floats] = []
     before: Floats | None = None
     for _ in range(rounds):
-        target = problem.fit_nuisance(problem.residual)[-problem.origin.size :]
+        target = np.clip(problem.fit_nuisance(problem.residual)[-problem.origin.size :], -most, most)
         step = target - problem.origin
         if problem.curved(step) < 0.7:
             break

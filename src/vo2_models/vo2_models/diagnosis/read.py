@@ -230,7 +230,10 @@ def _detect_initial_state(part: Part, nominal: Nominal) -> tuple[Part, Response]
         miss = 0.0
         for channel in part.channels:
             noise = nominal.noise[channel].level
-            gap = (part.observed[channel] - response.channels[channel])[:first][part.valid[channel][:first]]
+            gap, good = part.observed[channel] - response.channels[channel], part.valid[channel]
+            # a constant that has moved goes on, a wrong start does not
+            after = gap[first : 4 * first][good[first : 4 * first]]
+            gap = gap[:first][good[:first]] - (np.median(after) if after.size else 0.0)
             miss += float(np.sum(np.minimum((gap / noise) ** 2, 1e6)))
         misses.append(miss)
     if misses[1] < 0.2 * misses[0] - 100:

@@ -24,6 +24,8 @@ __all__ = ["FitResult", "fit_device"]
 Floats = NDArray[np.float64]
 PLAYS = 12
 """Plays of each bank."""
+_WARM = 0.5
+"""Share of the cost of a cold start below which a stage's temperature says that a recording began settled."""
 
 
 @dataclass(frozen=True)
@@ -90,15 +92,15 @@ def fit_device(
         grids, gain = _heating(grids, nominal)
         model = replace(model, scalars={**model.scalars, **gain})
     thermal_std: dict[str, float] = {}
+    warm = False
     if all(STAGE_TEMPERATURE in grid.measured for grid in grids):
-        model, thermal_std = _fit_stage(model, grids)
+        model, thermal_std, warm = _fit_stage(model, grids)
     elif nominal.measures_temperature:
         notes.append("no stage temperature: the temperature scale is the preset's")
-    candidates = [fit_loops(model, grids, plays, settled=False, thermal=not thermal_std, say=say)]
-    if _starts_badly(candidates[0], grids, candidates[0].scalars["thermal.time_constant"]):
-        candidates.append(fit_loops(model, grids, plays, settled=True, thermal=not thermal_std, say=say))
-    best = min(candidates, key=lambda loops: loops.cost)
-    settled = best is not candidates[0]
+    best, settled = fit_loops(model, grids, plays, settled=warm, thermal=not thermal_std, say=say), warm
+    if not warm and _starts_badly(best, grids, best.scalars["thermal.time_constant"]):
+        other = fit_loops(model, grids, plays, settled=True, thermal=not thermal_std, say=say)
+        best, settled = (other, True) if other.cost < best.cost else (best, False)
     if settled:
         notes.append(
             "the recording does not start from a cold rest: it is taken to start settled at its first current"
@@ -167,8 +169,13 @@ def _check_excited(grids: Sequence[GriddedRecording], device: str) -> None:
         )
 
 
-def _fit_stage(model: DeviceModel, grids: Sequence[GriddedRecording]) -> tuple[DeviceModel, dict[str, float]]:
-    """Fit ambient, gain, time constant and dead time to the stage temperature."""
+def _fit_stage(
+    model: DeviceModel, grids: Sequence[GriddedRecording]
+) -> tuple[DeviceModel, dict[str, float], bool]:
+    """Fit ambient, gain, time constant and dead time to the stage temperature, and whether it starts settled.
+
+    A film that is far below its transition when a recording begins does not tell.
+    """
     nominal = preset(model.device)
     gain = "thermal.square_gain" if nominal.square_gain else "thermal.linear_gain"
     names = ["thermal.ambient", gain, "thermal.time_constant", "driver.dead_time"]
@@ -200,13 +207,15 @@ def _fit_stage(model: DeviceModel, grids: Sequence[GriddedRecording]) -> tuple[D
                 gap, start, args=(settled,), x_scale=scale, bounds=(low, high), loss="soft_l1", f_scale=0.3
             )
         )
-    best = min(results, key=lambda result: result.cost)
+    cold, warm = results
+    settled = warm.cost < _WARM * cold.cost
+    best = warm if settled else cold
     residual = best.fun
     variance = float(np.mean(residual**2)) * correlation_inflation(residual)
     covariance = np.linalg.pinv(best.jac.T @ best.jac) * variance
     found = dict(zip(names, map(float, best.x), strict=True))
     std = dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-    return replace(model, scalars={**model.scalars, **found}), std
+    return replace(model, scalars={**model.scalars, **found}), std, settled
 
 
 def _starts_badly(loops: Loops, grids: Sequence[GriddedRecording], tau: float) -> bool:

@@ -1,0 +1,108 @@
+"""Moved constants with the loops as the calibration left them.
+
+Beside loops that may change their shape, a gain of the heater that has moved by some per cent is no surer than another
+expansion with another shape. Where one constant or two explain by themselves nearly all that a recording differs, that is
+no accident, and the loops have not changed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo2_models.diagnosis.drift import Drift
+from vo2_models.diagnosis.problem import LinearisedProblem
+
+__all__ = ["moved_alone"]
+
+Floats = NDArray[np.float64]
+MOST, LEFT = 3, 0.05
+"""Constants that may move together, and the share of the squared residual that they may leave."""
+LOUD = 10.0
+"""Squared residual of a sample, over its noise, below which nothing is told: unchanged recordings leave 1 to 3."""
+SURE, GAINS = 5.0, 0.2
+"""Standard deviations from zero of each, and the share of what the others leave that it must explain."""
+MISFIT = 0.5
+"""Standard deviation of what a misfit moves a constant by, as a share of the most that it can."""
+_TRIED, _ROUNDS, _HALVES = 3, 6, 4
+"""Constants tried at each place, steps of each search, and halvings of a step that leads nowhere."""
+_ENOUGH = 1e-3
+"""Relative drop of the squared residual with which a search ends."""
+
+
+def moved_alone(problem: LinearisedProblem) -> Drift | None:
+    """Return the moves of few constants that explain recordings by themselves, or None where none do.
+
+    Constants are added one by one, each the one that leaves least after a search of all that move (Gauss and Newton, with
+    differences), while each stands `SURE` deviations from zero; the deviations are those of `drift.drift_of`, or half of the most
+    that what is left can have moved the constant by.
+
+    Parameters
+    ----------
+    problem : without effects
+    """
+    free = [k for k, constant in enumerate(problem.constants) if constant.drifts]
+    if not free or problem.loop_origin:
+        return None
+    begin = problem.residual - problem.nuisance.thermal @ problem.origin
+
+    def left(shift: Floats) -> Floats:
+        return np.asarray(begin - problem.stack(problem.responses({}, shift)))
+
+    def columns(shift: Floats, places: list[int], here: Floats) -> Floats:
+        """Whitened change (N, m) of the simulation per unit of each constant."""
+        found = []
+        for k in places:
+            step = problem.constants[k].straight
+            found.append((here - left(shift + step * np.eye(shift.size)[k])) / step)
+        return np.stack(found, axis=1)
+
+    def searched(start: Floats, places: list[int]) -> tuple[Floats, Floats]:
+        shift, here = start, left(start)
+        for _ in range(_ROUNDS):
+            along = np.linalg.lstsq(columns(shift, places, here), here, rcond=None)[0]
+            before = float(here @ here)
+            for half in range(_HALVES):
+                trial = shift.copy()
+                trial[places] += along * 0.5**half
+                there = left(trial)
+                if there @ there < before:
+                    shift, here = trial, there
+                    break
+            if before - here @ here < _ENOUGH * before:
+                break
+        return shift, here
+
+    def judged(shift: Floats, here: Floats, places: list[int]) -> tuple[Floats, Floats]:
+        """Distance (m,) from zero in deviations, and the covariance (m, m), widened for misfit over long stretches."""
+        own = columns(shift, places, here)
+        inverse = np.linalg.pinv(own.T @ own)
+        influence = own @ inverse
+        scatter = np.sum(problem.over_stretches(influence * here[:, None]) ** 2, axis=0)
+        wider = np.sqrt(np.maximum(scatter / np.maximum(np.diag(inverse), 1e-300), 1.0))
+        # what is left is the loops', and moves an estimate by at most its length times the plain deviation
+        wider = np.maximum(wider, MISFIT * np.sqrt(here @ here))
+        covariance = inverse * np.outer(wider, wider)
+        return np.abs(shift[places]) / np.sqrt(np.diag(covariance)), covariance
+
+    shift = np.zeros(len(problem.constants))
+    here = left(shift)
+    total = float(here @ here)
+    if total < LOUD * problem.count:
+        return None
+    places: list[int] = []
+    covariance = np.zeros((0, 0))
+    while len(places) < MOST:
+        others = [k for k in free if k not in places]
+        slopes = columns(shift, others, here)
+        drops = (slopes.T @ here) ** 2 / np.maximum(np.sum(slopes**2, axis=0), 1e-300)
+        likely = [others[k] for k in np.argsort(-drops)[:_TRIED]]
+        trials = [(k, *searched(shift, [*places, k])) for k in likely]
+        k, further, there = min(trials, key=lambda trial: float(trial[2] @ trial[2]))
+        sigmas, wide = judged(further, there, [*places, k])
+        if there @ there > (1.0 - GAINS) * (here @ here) or np.min(sigmas) < SURE:
+            break
+        places, shift, here, covariance = [*places, k], further, there, wide
+    if not places or here @ here > LEFT * total:
+        return None
+    return Drift(tuple(problem.constants[k] for k in places), shift[places], covariance, shift)
