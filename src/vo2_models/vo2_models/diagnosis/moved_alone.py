@@ -83,7 +83,9 @@ def moved_alone(problem: LinearisedProblem) -> Drift | None:
         # what is left is the loops', and moves an estimate by at most its length times the plain deviation
         wider = np.maximum(wider, MISFIT * np.sqrt(here @ here))
         covariance = inverse * np.outer(wider, wider)
-        return np.abs(shift[places]) / np.sqrt(np.diag(covariance)), covariance
+        # a constant that changes nothing here has no deviation, and has not moved
+        std = np.sqrt(np.diag(covariance))
+        return np.where(std > 0.0, np.abs(shift[places]) / np.where(std > 0.0, std, 1.0), 0.0), covariance
 
     shift = np.zeros(len(problem.constants))
     here = left(shift)
