@@ -20,7 +20,7 @@ MOST, LEFT = 3, 0.05
 """Constants that may move together, and the share of the squared residual that they may leave."""
 LOUD = 10.0
 """Squared residual of a sample, over its noise, below which nothing is told: unchanged recordings leave 1 to 3."""
-SURE, GAINS = 5.0, 0.2
+SURE, GAINS = 4.0, 0.2
 """Standard deviations from zero of each, and the share of what the others leave that it must explain."""
 MISFIT = 0.5
 """Standard deviation of what a misfit moves a constant by, as a share of the most that it can."""
@@ -35,7 +35,7 @@ def moved_alone(problem: LinearisedProblem) -> Drift | None:
 
     Constants are added one by one, each the one that leaves least after a search of all that move (Gauss and Newton, with
     differences), while each stands `SURE` deviations from zero; the deviations are those of `drift.drift_of`, or half of the most
-    that what is left can have moved the constant by.
+    that what is left can have moved the constant by, and the calibration's own.
 
     Parameters
     ----------
@@ -44,6 +44,9 @@ def moved_alone(problem: LinearisedProblem) -> Drift | None:
     free = [k for k, constant in enumerate(problem.constants) if constant.drifts]
     if not free or problem.loop_origin:
         return None
+    # how well the calibration has told each, in units of its move
+    told = {c.name: c.spread for c in problem.constants if not c.drifts}
+    known = [told.get(c.name, 0.0) / c.spread for c in problem.constants]
     begin = problem.residual - problem.nuisance.thermal @ problem.origin
 
     def left(shift: Floats) -> Floats:
@@ -82,7 +85,7 @@ def moved_alone(problem: LinearisedProblem) -> Drift | None:
         wider = np.sqrt(np.maximum(scatter / np.maximum(np.diag(inverse), 1e-300), 1.0))
         # what is left is the loops', and moves an estimate by at most its length times the plain deviation
         wider = np.maximum(wider, MISFIT * np.sqrt(here @ here))
-        covariance = inverse * np.outer(wider, wider)
+        covariance = inverse * np.outer(wider, wider) + np.diag([known[k] ** 2 for k in places])
         # a constant that changes nothing here has no deviation, and has not moved
         std = np.sqrt(np.diag(covariance))
         return np.where(std > 0.0, np.abs(shift[places]) / np.where(std > 0.0, std, 1.0), 0.0), covariance
