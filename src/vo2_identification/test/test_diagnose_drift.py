@@ -10,6 +10,8 @@ from vo2_models.device.coefficients import Coefficient
 from vo2_models.diagnosis import diagnose, study, validate
 from vo2_models.diagnosis.files import write_results
 from vo2_models.diagnosis.limits import Limits
+from vo2_models.diagnosis.locate import locate
+from vo2_models.diagnosis.moved_alone import moved_alone
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.read import read
@@ -133,3 +135,27 @@ def test_commands_stamped_late_by_a_fraction_are_moved_to_where_they_act(paramet
     assert len(told) == 1
     delay = float(re.search(r"command_delay (\S+) s", told[0])[1])  # type: ignore[index]
     assert delay == pytest.approx(-1e-3 * periods, abs=0.05e-3)
+
+
+@pytest.mark.parametrize(
+    ("moved", "name", "by"),
+    [
+        ((Coefficient.SQUARE_GAIN, 1.03, 0.0), "thermal.square_gain", 0.03 * 1.01e6),
+        ((Coefficient.AMBIENT, 1.0, 1.5), "thermal.ambient", 1.5),
+    ],
+)
+def test_a_constant_that_explains_a_recording_by_itself_is_told_with_loops_as_they_were(
+    parameters, moved, name, by
+) -> None:
+    def alone(recording: Recording):
+        limits, clock = Limits(), Clock(lambda share, text: None, 700)
+        reading = read([recording], Nominal.from_parameters(parameters), (), limits, clock, calibrations=0)
+        return moved_alone(locate(reading, limits, clock).problem)
+
+    drift = alone(concealed(moved=(moved,)))
+    assert drift is not None and [c.name for c in drift.constants] == [name]
+    assert 0.0 < drift.std[0] < 0.2 * by
+    assert drift.move[0] == pytest.approx(by, abs=2.5 * drift.std[0])
+    # the loops' own misfit is no move, and an effect of the response is none of these constants
+    assert alone(concealed()) is None
+    assert alone(concealed({"creep": {"share": 0.06, "time_constant": 0.2}})) is None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, lsim
 from vo2_models.device.description import described, preset
-from vo2_models.diagnosis import decide, hypotheses, report
+from vo2_models.diagnosis import decide, hypotheses, locate, report
 from vo2_models.diagnosis import search as third_stage
 from vo2_models.diagnosis.adequacy import Adequacy, adequacy_of, shown
 from vo2_models.diagnosis.corrected_model import corrected_parameters
@@ -691,3 +691,17 @@ def test_what_is_refused_is_told_in_the_names_and_units_of_the_device(model):
     still = replace(still, channels={**still.channels, HEATER_CURRENT: 5.0 + 1e-3 * still[HEATER_CURRENT]})
     with pytest.raises(ValueError, match=r"volts is constant \(varies by 0.01 V\)"):
         study([still], model)
+
+
+def test_a_constant_does_not_follow_an_effect_by_more_than_the_calibration_allows(model):
+    """A response that comes five samples late is no dead time that the calibration has told wrongly by forty deviations."""
+    found = study([recorded(2, change=lambda y: np.concatenate([np.full(5, y[0]), y[:-5]]))], model)
+    problem = found.located.problem
+    own = [
+        abs(z) for z, constant in zip(problem.origin, problem.constants, strict=True) if not constant.drifts
+    ]
+    assert max(own, default=0.0) <= locate.MISTAKEN
+    told = {effect.id for effect in assemble_diagnosis(found).effects} | {
+        sibling for effect in assemble_diagnosis(found).effects for sibling in effect.siblings
+    }
+    assert {"dead_time", "clock_offset"} <= told

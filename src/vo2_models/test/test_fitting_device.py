@@ -211,3 +211,16 @@ def test_outliers_are_left_out_and_the_recordings_need_not_have_the_same_channel
     assert threads == {1}
     (told,) = [note for note in result.notes if "outliers" in note]
     assert f"outliers in {RESISTANCE}" in told and f" {len(second) // 301} of them" in told
+
+
+def test_a_stage_tells_that_a_recording_began_at_rest_at_its_first_current():
+    """The film is far below its transition there and does not tell; a cold start would show in the stage alone."""
+    drive = _calibration("peltier")
+    drive = np.concatenate([np.full(600, -0.1), drive[drive < -0.1]])
+    device = truth("peltier", seed=6)
+    warm = fit_device([device.simulate(drive, seed=1, settled=True)], "peltier")
+    assert warm.settled and any("settled at its first current" in note for note in warm.notes)
+    noise = preset("peltier").noise[STAGE_TEMPERATURE]
+    assert warm.model.sensors[STAGE_TEMPERATURE].residual < 1.5 * noise
+    cold = fit_device([device.simulate(drive, seed=1)], "peltier")
+    assert not cold.settled and cold.model.sensors[STAGE_TEMPERATURE].residual < 1.5 * noise
