@@ -8,6 +8,7 @@ import pytest
 from scipy.signal import StateSpace, lfilter, lsim
 from vo2_models.device.description import described
 from vo2_models.device.mode import mode_step
+from vo2_models.hysteresis.laws.bounded_plays import BoundedPlays
 from vo2_models.hysteresis.preisach import PreisachOperator
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.identification.rig_dynamics import RigDynamics, relaxing, ringing
@@ -233,3 +234,45 @@ def test_recordings_that_cannot_be_fitted():
     noise = np.random.default_rng(2).normal(size=400)
     with pytest.raises(ValueError, match="extension does not follow drive_voltage in a loop"):
         fit_model([_recording(_drive(400, 50), noise)], _device().key)
+
+
+def _ramps(seed: int, count: int) -> np.ndarray:
+    """Ramps of three rates between random levels, holds and jumps."""
+    rng, at = np.random.default_rng(seed), 60.0
+    parts = [np.zeros(20), np.linspace(0.0, at, 60), np.linspace(at, 0.0, 60)]
+    at = 0.0
+    while sum(part.size for part in parts) < count:
+        to, held = rng.uniform(0.0, 60.0, 2)
+        parts += [np.linspace(at, to, int(rng.choice([15, 40, 120])))]
+        parts += [np.full(int(rng.integers(10, 60)), held if rng.random() < 0.2 else to)]
+        at = float(parts[-1][-1])
+    return np.concatenate(parts)[:count]
+
+
+@pytest.mark.parametrize(("front", "behind"), [(4.0, 0.0), (3.0, 8.0)])
+def test_loops_that_do_not_saturate_are_fitted_to_their_noise_and_tell_both_lags(front, behind):
+    """Twenty plays of Prandtl and Ishlinskii behind an amplifier, before a slow sensor; both lags in samples."""
+    radii = np.linspace(0.0, 0.3, 20)
+    weights = np.exp(-radii / 0.1)
+    law = BoundedPlays(1e-5 * weights / weights.sum(), radii, *VOLTS, 1.0, [0.0, 1e-7, 4e-10])
+
+    def lagged(values, samples):
+        keep = np.exp(-1.0 / (20 * samples)) if samples else 0.0
+        return lfilter([1 - keep], [1, -keep], values, zi=[keep * values[0]])[0]
+
+    def measured(drive, seed):  # twenty steps a sample
+        values = lagged(law.run(lagged(np.repeat(drive, 20), front)), behind)[19::20]
+        return values + 3e-9 * np.random.default_rng(seed).normal(size=drive.size)
+
+    drive, later = _ramps(1, 3000), _ramps(2, 2500)
+    result, _ = fit_model([_recording(drive, measured(drive, 11))], _device().key)
+    model = result.model
+    assert type(model.deflection) is BoundedPlays
+    assert model.scalars["thermal.time_constant"] == pytest.approx(0.01 * front, rel=0.05)
+    lag = model.effects.get("sensor_lag:tip_deflection", {"time_constant": 0.0})["time_constant"]
+    assert lag == pytest.approx(0.01 * behind, rel=0.02)
+    assert any("follows what has hysteresis" in note for note in result.notes) is bool(behind)
+    again = type(model).from_parameters(model.to_parameters())
+    values = again.simulate(later, dt=0.01, noise=False, settled=True)[TIP_DEFLECTION]
+    assert np.std(values - measured(later, 12)) < 1.3 * 3e-9
+    assert model.sensors[TIP_DEFLECTION].misfit < 1.3 * 3e-9

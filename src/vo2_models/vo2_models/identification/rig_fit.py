@@ -45,10 +45,9 @@ from vo2_models.identification.rig_dynamics import (
     loop_path,
     relaxing,
     ringing,
-    sensing,
 )
 from vo2_models.identification.rig_heat import RigHeat, choose_heat, free_run, heat_path, heat_scalars
-from vo2_models.identification.rig_plays import bounded_loop, dynamics_of_plays
+from vo2_models.identification.rig_plays import behind_all, bounded_loop, dynamics_of_plays
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
 
 __all__ = ["fit_rig"]
@@ -137,8 +136,7 @@ def fit_rig(
         if better:
             heat = replace(heat, dynamics=better)
             device, model, path = _assembled(grids, whole, heat)
-            late = sensing(grids, better) or ringing(grids, better)
-            fits[role] = bounded_loop(path, values[role], folds[role], late)
+            fits[role] = bounded_loop(path, values[role], folds[role], behind_all(grids, better))
     dynamics = heat.dynamics
     notes = [*coverage.notes, *heat.notes(device)]
     if dynamics.frequency:

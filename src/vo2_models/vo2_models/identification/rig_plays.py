@@ -20,7 +20,7 @@ from vo2_models.identification.grid import GriddedRecording
 from vo2_models.identification.loop_law import LoopLaw
 from vo2_models.identification.rig_dynamics import DAMPED, FASTEST, RigDynamics, loop_path, ringing, sensing
 
-__all__ = ["bounded_loop", "dynamics_of_plays"]
+__all__ = ["behind_all", "bounded_loop", "dynamics_of_plays"]
 
 Floats = NDArray[np.float64]
 _BETTER = 0.9
@@ -30,6 +30,7 @@ _HOPELESS = 6.0
 _LAGS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Lags tried first, of the sensor and every other one of the drive, in sample periods."""
 _COMMON = ((1.0, 3),)
+"""Exponent and degree with which these are tried."""
 _SHORTEST, _SPREAD, _STEPS = 0.1, 0.3, 50
 """Shortest lag in sample periods, first step of a logarithm, and evaluations of the search for each unknown."""
 
@@ -57,8 +58,9 @@ def dynamics_of_plays(
     longest = 0.1 * dt * max(grid.current.size for grid in grids)
 
     def fitted(dynamics: RigDynamics, forms: Sequence[tuple[float, int]] = FORMS) -> BoundedFit:
-        path, late = loop_path(grids, device, dynamics), sensing(grids, dynamics)
-        return _fit(path, values, fold, good, late or ringing(grids, dynamics), forms)
+        return _fit(
+            loop_path(grids, device, dynamics), values, fold, good, behind_all(grids, dynamics), forms
+        )
 
     bounds = {
         "lag": (_SHORTEST * dt, longest),
@@ -105,12 +107,26 @@ def dynamics_of_plays(
         error, dynamics = min((error, start), sought(start, free, fit.form), key=lambda one: one[0])
     if behind:
         start = min(behind, key=lambda one: one[0].error)[1]
-        other = sought(start, ("lag", "behind"), fitted(start).form)
+        form = fitted(start).form
+        first = sought(start, ("lag", "behind"), form)
+        # loops are narrow: the two lags in the other order are nearly as good, and a search does not come from there
+        turned = replace(first[1], lag=first[1].behind, behind=first[1].lag)
+        other = min(first, sought(turned, ("lag", "behind"), form), key=lambda one: one[0])
         if other[0] < _BETTER * error:
             error, dynamics = other
-    path, late = loop_path(grids, device, dynamics), sensing(grids, dynamics)
-    own = bounded_loop(path, values, fold, late or ringing(grids, dynamics)).misfit
-    return dynamics if own < _BETTER * misfit else None
+    own = bounded_loop(loop_path(grids, device, dynamics), values, fold, behind_all(grids, dynamics))
+    return dynamics if own.misfit < _BETTER * misfit else None
+
+
+def behind_all(grids: Sequence[GriddedRecording], dynamics: RigDynamics) -> Late | None:
+    """Return what all of a response goes through behind its loops: a sensor that lags, or a mode; None where there is neither.
+
+    Parameters
+    ----------
+    grids : recordings in roles
+    dynamics : with a lag behind the loops, a frequency, or none
+    """
+    return sensing(grids, dynamics) or ringing(grids, dynamics)
 
 
 def bounded_loop(path: Floats, values: Floats, fold: NDArray[np.int64], late: Late | None) -> LoopLaw:
