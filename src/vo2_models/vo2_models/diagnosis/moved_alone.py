@@ -88,7 +88,8 @@ def moved_alone(problem: LinearisedProblem) -> Drift | None:
         covariance = inverse * np.outer(wider, wider) + np.diag([known[k] ** 2 for k in places])
         # a constant that changes nothing here has no deviation, and has not moved
         std = np.sqrt(np.diag(covariance))
-        return np.where(std > 0.0, np.abs(shift[places]) / np.where(std > 0.0, std, 1.0), 0.0), covariance
+        sigmas = np.where(std > 0.0, np.abs(shift[places]) / np.where(std > 0.0, std, 1.0), 0.0)
+        return sigmas.astype(np.float64), covariance.astype(np.float64)
 
     shift = np.zeros(len(problem.constants))
     here = left(shift)
