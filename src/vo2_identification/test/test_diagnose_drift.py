@@ -150,7 +150,7 @@ def test_a_constant_that_explains_a_recording_by_itself_is_told_with_loops_as_th
     def alone(recording: Recording):
         limits, clock = Limits(), Clock(lambda share, text: None, 700)
         reading = read([recording], Nominal.from_parameters(parameters), (), limits, clock, calibrations=0)
-        return moved_alone(locate(reading, limits, clock).problem)
+        return moved_alone(locate(reading, limits, clock).problem, limits)
 
     drift = alone(concealed(moved=(moved,)))
     assert drift is not None and [c.name for c in drift.constants] == [name]

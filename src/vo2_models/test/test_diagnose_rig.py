@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, lsim
 from vo2_models.device.description import described, preset
-from vo2_models.diagnosis import decide, hypotheses, locate, report
+from vo2_models.diagnosis import decide, hypotheses, report
 from vo2_models.diagnosis import search as third_stage
 from vo2_models.diagnosis.adequacy import Adequacy, adequacy_of, shown
 from vo2_models.diagnosis.corrected_model import corrected_parameters
@@ -700,7 +700,7 @@ def test_a_constant_does_not_follow_an_effect_by_more_than_the_calibration_allow
     own = [
         abs(z) for z, constant in zip(problem.origin, problem.constants, strict=True) if not constant.drifts
     ]
-    assert max(own, default=0.0) <= locate.MISTAKEN
+    assert max(own, default=0.0) <= found.limits.mistaken
     told = {effect.id for effect in assemble_diagnosis(found).effects} | {
         sibling for effect in assemble_diagnosis(found).effects for sibling in effect.siblings
     }

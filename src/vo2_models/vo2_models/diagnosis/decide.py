@@ -174,7 +174,7 @@ def _judged(
         hidden = found.hidden and not located.nominal.model.description.has_body
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
             return _Verdict(option, judged, rivals, remaining, adequacy, shown, equivalent, ahead)
-    if found.held is not None and _moved_alone(located, first_use=first_use) is None:
+    if found.held is not None and _moved_alone(located, limits, first_use=first_use) is None:
         option, reference = found.held.option, found.held.reference
         judged = held_out(option.final, option.chosen, reference=reference, folds=folds, tick=clock.tick)
         adequacy = adequacy_of(option, limits)
@@ -247,7 +247,7 @@ def _unnamed(
         unnamed = fit_nonparametric_correction(problem, located.remaining, block_folds(problem))
     verdict_word: Literal["agrees", "drifted", "differs"] = "differs"
     where, proposal = located.breakdown, None
-    alone = _moved_alone(located, first_use=first_use)
+    alone = _moved_alone(located, limits, first_use=first_use)
     drift = alone or _drift(problem, problem.residual, verdict.judged)
     mimics: tuple[Hypothesis, ...] = ()
     described = 0.0 if unnamed is None else max(unnamed.share, verdict.shown)
@@ -269,11 +269,11 @@ def _unnamed(
     )  # fmt: skip
 
 
-def _moved_alone(located: Located, *, first_use: bool) -> Drift | None:
+def _moved_alone(located: Located, limits: Limits, *, first_use: bool) -> Drift | None:
     """Few constants that explain by themselves what differs, of a device with a body whose calibration was another day's."""
     if first_use or not located.nominal.model.description.has_body:
         return None
-    return moved_alone(located.problem)
+    return moved_alone(located.problem, limits)
 
 
 def _drift(problem: LinearisedProblem, residual: Floats, judged: HeldOut) -> Drift:

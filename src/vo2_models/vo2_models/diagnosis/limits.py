@@ -188,6 +188,29 @@ class Limits:
         "have moved; the chi-square quantile for 7 or 8 constants is about 41, of 13 unchanged devices of the own simulator, "
         "whose loops are of another family than the model's, the largest was 15",
     )
+    mistaken: float = _limit(
+        4.0,
+        "deviations by which a constant may differ from the calibration's own value: as `sigmas`; a dead time was followed by "
+        "43, and an average named beside it",
+    )
+    alone: float = _limit(
+        0.05,
+        "share of the squared residual that few moved constants may leave by themselves, loops as the calibration left them, to "
+        "be told: of five recordings of a device that others simulated it was 0.0007 to 0.0096",
+    )
+    alone_from: float = _limit(
+        10.0,
+        "squared residual of a sample, over its noise, from which that is asked: a room 0.1 K off left 21",
+    )
+    alone_gain: float = _limit(
+        0.2,
+        "share of what the others leave that each of these constants must explain: as `share`, of whole recordings",
+    )
+    alone_misfit: float = _limit(
+        0.5,
+        "standard deviation of what a misfit moves such a constant by, as a share of the most that it can: of eight moves of "
+        "two devices that others simulated all lay within 2.1 of these deviations, by the scatter over stretches alone up to 9",
+    )
     constant_moved: float = _limit(
         4.0, "move of one constant, in standard deviations, from which it counts in what moved constants cost"
     )

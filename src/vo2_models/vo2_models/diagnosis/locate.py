@@ -27,8 +27,6 @@ SETTLED, SETTLED_BESIDE = 0.002, 0.02
 """Relative drop of chi-square with which moving the constants further ends: by themselves, and beside a large effect."""
 BESIDE = 5.0
 """Chi-square over samples from which constants follow an effect that is no move of them, and are not sought further."""
-MISTAKEN = 4.0
-"""Deviations by which a constant may differ from the calibration's own value, of a device that has not changed."""
 FLAT = 10.0
 """Change of chi-square that is none."""
 SLOW, FURTHER = 3, 0.25
@@ -88,9 +86,9 @@ def locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
         refits=reading.first_use,
         say=clock.say,
     )
-    problem = _relinearise_constants(nominal, problem, clock)
+    problem = _relinearise_constants(nominal, problem, limits, clock)
     nominal, problem = _refine_noise_model(nominal, problem, reading, limits, clock)
-    problem = _relinearise_constants(nominal, problem, clock)
+    problem = _relinearise_constants(nominal, problem, limits, clock)
     remaining = problem.apply_inverse_covariance(problem.residual)
     excess, total = _excess(problem, remaining, problem.residual_chi_square)
     return Located(
@@ -114,7 +112,7 @@ def _left_out(problem: LinearisedProblem) -> float:
 
 
 def _relinearise_constants(
-    nominal: Nominal, problem: LinearisedProblem, clock: Clock, *, rounds: int = 16
+    nominal: Nominal, problem: LinearisedProblem, limits: Limits, clock: Clock, *, rounds: int = 16
 ) -> LinearisedProblem:
     """Move to where the nuisance model's own refit puts the thermal parameters, until they stay: it is not linear in them.
 
@@ -141,7 +139,7 @@ def _relinearise_constants(
         )
 
     # a number that the calibration has told is not wrong by many of its deviations: such a move is an effect's
-    most = np.array([np.inf if c.drifts or start.refits else MISTAKEN for c in start.constants])
+    most = np.array([np.inf if c.drifts or start.refits else limits.mistaken for c in start.constants])
     targets: list[Floats] = []
     before: Floats | None = None
     for _ in range(rounds):

@@ -11,35 +11,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.diagnosis.drift import Drift
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.problem import LinearisedProblem
 
 __all__ = ["moved_alone"]
 
 Floats = NDArray[np.float64]
-MOST, LEFT = 3, 0.05
-"""Constants that may move together, and the share of the squared residual that they may leave."""
-LOUD = 10.0
-"""Squared residual of a sample, over its noise, below which nothing is told: unchanged recordings leave 1 to 3."""
-SURE, GAINS = 4.0, 0.2
-"""Standard deviations from zero of each, and the share of what the others leave that it must explain."""
-MISFIT = 0.5
-"""Standard deviation of what a misfit moves a constant by, as a share of the most that it can."""
+MOST = 3
+"""Constants that are tried together."""
 _TRIED, _ROUNDS, _HALVES = 3, 6, 4
 """Constants tried at each place, steps of each search, and halvings of a step that leads nowhere."""
 _ENOUGH = 1e-3
 """Relative drop of the squared residual with which a search ends."""
 
 
-def moved_alone(problem: LinearisedProblem) -> Drift | None:
+def moved_alone(problem: LinearisedProblem, limits: Limits) -> Drift | None:
     """Return the moves of few constants that explain recordings by themselves, or None where none do.
 
     Constants are added one by one, each the one that leaves least after a search of all that move (Gauss and Newton, with
-    differences), while each stands `SURE` deviations from zero; the deviations are those of `drift.drift_of`, or half of the most
-    that what is left can have moved the constant by, and the calibration's own.
+    differences), while each stands `sigmas` deviations from zero; the deviations are those of `drift.drift_of`, or half of
+    the most that what is left can have moved the constant by, and the calibration's own.
 
     Parameters
     ----------
     problem : without effects
+    limits : `alone`, `alone_from`, `alone_gain`, `alone_misfit` and `sigmas`
     """
     free = [k for k, constant in enumerate(problem.constants) if constant.drifts]
     if not free or problem.loop_origin:
@@ -84,7 +80,7 @@ def moved_alone(problem: LinearisedProblem) -> Drift | None:
         scatter = np.sum(problem.over_stretches(influence * here[:, None]) ** 2, axis=0)
         wider = np.sqrt(np.maximum(scatter / np.maximum(np.diag(inverse), 1e-300), 1.0))
         # what is left is the loops', and moves an estimate by at most its length times the plain deviation
-        wider = np.maximum(wider, MISFIT * np.sqrt(here @ here))
+        wider = np.maximum(wider, limits.alone_misfit * np.sqrt(here @ here))
         covariance = inverse * np.outer(wider, wider) + np.diag([known[k] ** 2 for k in places])
         # a constant that changes nothing here has no deviation, and has not moved
         std = np.sqrt(np.diag(covariance))
@@ -94,7 +90,7 @@ def moved_alone(problem: LinearisedProblem) -> Drift | None:
     shift = np.zeros(len(problem.constants))
     here = left(shift)
     total = float(here @ here)
-    if total < LOUD * problem.count:
+    if total < limits.alone_from * problem.count:
         return None
     places: list[int] = []
     covariance = np.zeros((0, 0))
@@ -106,9 +102,9 @@ def moved_alone(problem: LinearisedProblem) -> Drift | None:
         trials = [(k, *searched(shift, [*places, k])) for k in likely]
         k, further, there = min(trials, key=lambda trial: float(trial[2] @ trial[2]))
         sigmas, wide = judged(further, there, [*places, k])
-        if there @ there > (1.0 - GAINS) * (here @ here) or np.min(sigmas) < SURE:
+        if there @ there > (1.0 - limits.alone_gain) * (here @ here) or np.min(sigmas) < limits.sigmas:
             break
         places, shift, here, covariance = [*places, k], further, there, wide
-    if not places or here @ here > LEFT * total:
+    if not places or here @ here > limits.alone * total:
         return None
     return Drift(tuple(problem.constants[k] for k in places), shift[places], covariance, shift)
