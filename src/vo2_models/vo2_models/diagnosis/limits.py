@@ -190,8 +190,8 @@ class Limits:
     )
     mistaken: float = _limit(
         4.0,
-        "deviations by which a constant may differ from the calibration's own value: as `sigmas`; a dead time was followed by "
-        "43, and an average named beside it",
+        "on a device without body, deviations by which a constant may differ from the calibration's own value: as `sigmas`; a "
+        "dead time was followed by 43, and an average named beside it",
     )
     alone: float = _limit(
         0.05,

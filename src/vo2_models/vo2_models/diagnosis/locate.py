@@ -138,8 +138,10 @@ def _relinearise_constants(
             say=clock.say,
         )
 
-    # a number that the calibration has told is not wrong by many of its deviations: such a move is an effect's
-    most = np.array([np.inf if c.drifts or start.refits else limits.mistaken for c in start.constants])
+    # without body, a number that the calibration has told is not wrong by many of its deviations: such a move is an effect's.
+    # With one, constants share their moves with those of another day, and steps of which a part is missing lead nowhere
+    shared = start.refits or nominal.model.description.has_body
+    most = np.array([np.inf if c.drifts or shared else limits.mistaken for c in start.constants])
     targets: list[Floats] = []
     before: Floats | None = None
     for _ in range(rounds):

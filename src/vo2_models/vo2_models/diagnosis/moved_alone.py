@@ -37,7 +37,8 @@ def moved_alone(problem: LinearisedProblem, limits: Limits) -> Drift | None:
     problem : without effects
     limits : `alone`, `alone_from`, `alone_gain`, `alone_misfit` and `sigmas`
     """
-    free = [k for k, constant in enumerate(problem.constants) if constant.drifts]
+    # a dead time that is another one is an effect by its name
+    free = [k for k, c in enumerate(problem.constants) if c.drifts and c.name != "driver.dead_time"]
     if not free or problem.loop_origin:
         return None
     # how well the calibration has told each, in units of its move

@@ -412,8 +412,12 @@ class Effect:
                 continue
             try:
                 found = hook(*(given[argument] for argument in arguments))
-            except ZeroDivisionError:
+            except (ArithmeticError, ValueError):
                 continue  # an effect that is off is not run, so that its hook need not be defined there
+            except Exception as error:
+                raise ValueError(
+                    f"{where}: hook {name}: cannot be run ({type(error).__name__}: {error})"
+                ) from error
             numbers = found if isinstance(found, tuple) else (found,)
             if len(numbers) != _SEVERAL.get(name, 1) or not all(isinstance(one, _NUMBER) for one in numbers):
                 raise ValueError(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.device.description import DeviceDescription, preset
+from vo2_models.device.description import PRESETS, DeviceDescription, preset
 from vo2_models.diagnosis.nominal import judged
 from vo2_models.identification.plausibility import impossible, unusual
 from vo2_models.recording import (
@@ -59,7 +59,7 @@ def check_calibration(
         )
     for k, recording in enumerate(recordings):
         name = names[k] if k < len(names) else f"recording {k + 1}"
-        if recording.device and recording.device != nominal.id:
+        if recording.device and recording.device != nominal.id and nominal.id not in PRESETS:
             notes.append(
                 f"{name}: says that it is of device {recording.device}, it is fitted as device {nominal.id}"
             )
