@@ -209,7 +209,7 @@ class Limits:
     alone_misfit: float = _limit(
         0.5,
         "standard deviation of what a misfit moves such a constant by, as a share of the most that it can: of eight moves of "
-        "two devices that others simulated all lay within 2.1 of these deviations, by the scatter over stretches alone up to 9",
+        "three devices that others simulated the furthest lay 2.9 and 1.2 of these deviations off, by scatter alone up to 9",
     )
     constant_moved: float = _limit(
         4.0, "move of one constant, in standard deviations, from which it counts in what moved constants cost"
