@@ -87,8 +87,8 @@ class Decision:
 class _Verdict:
     """The first option that is admissible, or the nuisance model alone.
 
-    `shown` is the largest share of the excess that an option explains, admissible or not; `equivalent`, `ahead`, `held` as in
-    `Decision`.
+    `shown` is the largest share of the excess that an option explains, admissible or not; `alone` what `moved_alone` finds, where
+    nothing is named; `equivalent`, `ahead`, `held` as in `Decision`.
     """
 
     option: Option | None
@@ -100,6 +100,7 @@ class _Verdict:
     equivalent: tuple[str, ...] = ()
     ahead: bool = False
     held: Held | None = None
+    alone: Drift | None = None
 
 
 def decide(located: Located, found: Search, reading: Reading, limits: Limits, clock: Clock) -> Decision:
@@ -141,7 +142,8 @@ def without_a_name(
     adequacy = None if decision.held else decision.adequacy
     shown = adequacy.share if adequacy else 0.0
     remaining = located.total_excess if decision.held else decision.remaining_excess
-    verdict = _Verdict(None, judged, found.singles, remaining, adequacy, shown)
+    alone = _moved_alone(located, limits, first_use=reading.first_use)
+    verdict = _Verdict(None, judged, found.singles, remaining, adequacy, shown, alone=alone)
     return _unnamed(located, found, verdict, folds, limits, clock, first_use=reading.first_use)
 
 
@@ -174,14 +176,16 @@ def _judged(
         hidden = found.hidden and not located.nominal.model.description.has_body
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
             return _Verdict(option, judged, rivals, remaining, adequacy, shown, equivalent, ahead)
-    if found.held is not None and _moved_alone(located, limits, first_use=first_use) is None:
+    alone = _moved_alone(located, limits, first_use=first_use)
+    if found.held is not None and alone is None:
         option, reference = found.held.option, found.held.reference
         judged = held_out(option.final, option.chosen, reference=reference, folds=folds, tick=clock.tick)
         adequacy = adequacy_of(option, limits)
         if _is_admissible(option, judged, adequacy, limits) and judged.share > limits.share:
             return _Verdict(option, judged, option.rivals, option.remaining, adequacy, shown, held=found.held)
     likeliest = min(judgements, key=lambda one: one.something_else(limits), default=None)
-    return _Verdict(None, held_out(problem, None, folds=folds), rivals, remaining, likeliest, shown)
+    nothing = held_out(problem, None, folds=folds)
+    return _Verdict(None, nothing, rivals, remaining, likeliest, shown, alone=alone)
 
 
 def _named(
@@ -247,8 +251,7 @@ def _unnamed(
         unnamed = fit_nonparametric_correction(problem, located.remaining, block_folds(problem))
     verdict_word: Literal["agrees", "drifted", "differs"] = "differs"
     where, proposal = located.breakdown, None
-    alone = _moved_alone(located, limits, first_use=first_use)
-    drift = alone or _drift(problem, problem.residual, verdict.judged)
+    drift = verdict.alone or _drift(problem, problem.residual, verdict.judged)
     mimics: tuple[Hypothesis, ...] = ()
     described = 0.0 if unnamed is None else max(unnamed.share, verdict.shown)
     if unnamed is None or (described < limits.share and _is_small(located, verdict.judged, limits)):

@@ -204,7 +204,7 @@ class Limits:
     )
     alone_gain: float = _limit(
         0.2,
-        "share of what the others leave that each of these constants must explain: as `share`, of whole recordings",
+        "share of what the others leave that each of these constants must explain: reasoned, not measured",
     )
     alone_misfit: float = _limit(
         0.5,

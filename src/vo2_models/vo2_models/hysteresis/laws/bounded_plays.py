@@ -1,4 +1,4 @@
-"""Prandtl and Ishlinskii's law between two ends of the input, with an input that bends: the law of piezo stacks and muscles.
+"""Prandtl and Ishlinskii's law between two ends of the input, with an input that bends: a law of piezo stacks.
 
     y = sum_j p_j F_j[x^e] + polynomial(u),    x = (u - u_low) / (u_high - u_low) within 0 to 1,
     F_j[z] = max(z - r_j, min(z + r_j, F_j before)),    F_j = r_j at the lower end,
@@ -192,6 +192,9 @@ def fit_bounded_plays(
     ------
     ValueError : fewer measured samples than twice the parts that are held out.
     """
+    # loads slowly, and a node starts without it
+    from vo2_models.identification.play_dictionary import nonnegative_weights
+
     low = float(u.min())
     high = low + (1.0 + _BEYOND) * float(np.ptp(u))
     rows = np.flatnonzero(measured)
@@ -213,41 +216,37 @@ def fit_bounded_plays(
             plays[:, j] = arrived(out)
         return plays
 
-    def error(plays: Floats, powers: Floats) -> float:
+    centre = float(np.mean(target))
+
+    def solved(columns: Floats, of: NDArray[np.bool_]) -> Floats:
+        """Weights of the plays and coefficients of the powers behind them, from some of the samples."""
+        normal = columns[of].T @ columns[of]
+        plays = np.diag_indices(_RADII.size)
+        normal[plays] += _RIDGE * np.mean(np.diag(normal)[: _RADII.size])
+        return nonnegative_weights(normal, columns[of].T @ (target[of] - centre), _RADII.size)
+
+    def error(columns: Floats) -> float:
         squares = 0.0
         for k in range(_FOLDS):
             held = part == k
-            weights, polynomial = _weights(plays[~held], powers[~held], target[~held])
-            squares += float(np.sum((target - plays @ weights - powers @ polynomial)[held] ** 2))
+            squares += float(np.sum((target - centre - columns @ solved(columns, ~held))[held] ** 2))
         return math.sqrt(squares / rows.size)
 
     powers = np.column_stack([arrived(x**k) for k in range(max(degree for _, degree in forms) + 1)])
     plays = {exponent: outputs(exponent) for exponent in dict.fromkeys(exponent for exponent, _ in forms)}
     form, least = forms[0], math.inf
     for exponent, degree in forms:
-        found = error(plays[exponent], powers[:, : degree + 1])
+        found = error(np.hstack([plays[exponent], powers[:, : degree + 1]]))
         if found < _SIMPLER * least:
             form, least = (exponent, degree), found
     exponent, degree = form
-    weights, shares = _weights(plays[exponent], powers[:, : degree + 1], target)
+    columns = np.hstack([plays[exponent], powers[:, : degree + 1]])
+    weights, shares = np.split(solved(columns, np.ones(rows.size, dtype=np.bool_)), [_RADII.size])
+    shares[0] += centre
     line = np.polynomial.Polynomial([-low / (high - low), 1.0 / (high - low)])
     polynomial = np.polynomial.Polynomial(shares)(line).coef
     kept = weights > 0.0
     return BoundedFit(BoundedPlays(weights[kept], _RADII[kept], low, high, exponent, polynomial), least, form)
-
-
-def _weights(plays: Floats, powers: Floats, target: Floats) -> tuple[Floats, Floats]:
-    """Least squares with weights (n,) >= 0 of plays (m, n) beside free coefficients of powers (m, d)."""
-    from scipy.optimize import nnls  # loads slowly, and a node starts without it
-
-    basis, upper = np.linalg.qr(powers)
-    along = basis.T @ np.column_stack([plays, target])
-    count = plays.shape[1]
-    rest: Floats = np.linalg.qr(np.column_stack([plays, target]) - basis @ along, mode="r")  # type: ignore[assignment]
-    ridge = math.sqrt(_RIDGE * np.mean(rest[:, :count] ** 2) * rest.shape[0])
-    side = np.concatenate([rest[:, count], np.zeros(count)])
-    weights, _ = nnls(np.vstack([rest[:, :count], ridge * np.eye(count)]), side)
-    return weights, np.linalg.solve(upper, along[:, count] - along[:, :count] @ weights)
 
 
 EXAMPLE = BoundedPlays([0.4, 0.8], [0.0, 0.1], 30.0, 90.0, 1.0, [4.0, 0.01])
