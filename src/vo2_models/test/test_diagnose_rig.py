@@ -462,15 +462,17 @@ def test_a_gain_or_a_zero_that_has_moved_is_told_as_that(model, change, constant
     assert found.decision.verdict == "drifted" and drift.constants[farthest].name == constant
     assert abs(drift.move[farthest] - moved) < 3.0 * drift.std[farthest] and drift.sigmas[farthest] > 10.0
     (told,) = assemble_diagnosis(found).moved
-    assert told.constant == constant and told.std < drift.std[farthest]
+    assert told.constant == constant and told.std <= drift.std[farthest]
     assert told.now - told.was == pytest.approx(moved, abs=3.0 * told.std)
     corrected = corrected_parameters(found)
     for name in ("ambient", "linear_gain", "time_constant"):  # free together, these make up for a part of it
         assert corrected[f"model.thermal.{name}"] == pytest.approx(model[f"model.thermal.{name}"], rel=5e-3)
     assert moved_in_place(found) == []
     # if every other constant counted as one that would do as well
-    (others,) = moved_in_place(replace(found, limits=replace(found.limits, rival=np.inf)))
-    assert others.endswith(f" or others may have moved in place of {constant}") and "thermal." in others
+    (others,) = moved_in_place(
+        study([recorded(2, change=change)], model, limits=replace(found.limits, rival=np.inf))
+    )
+    assert others.endswith(f" may have moved in place of {constant}") and "thermal." in others
     # the constants moved, the recording is as near to the law as the calibration's held-out parts: no lag makes up for the rest
     assert found.located.own_misfit[TIP_DEFLECTION] < found.limits.own_misfit
     assert found.search.scores and not found.search.singles

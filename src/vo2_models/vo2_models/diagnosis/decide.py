@@ -155,6 +155,7 @@ def _judged(
     rivals, remaining = found.singles, located.total_excess
     judgements: list[Adequacy] = []
     shown = 0.0
+    alone = _moved_alone(located, limits, first_use=first_use) if located.own_misfit else None
     for option in found.options:
         judged = held_out(option.final, option.chosen, reference=problem, folds=folds, tick=clock.tick)
         shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
@@ -166,8 +167,8 @@ def _judged(
         ahead = False
         if located.own_misfit:
             # what an unchanged device may miss on another path is explained by many effects
-            small = (
-                located.within_misfit(limits.unlike_misfit) and located.total_excess < limits.channel_excess
+            small = located.within_misfit(limits.unlike_misfit) and (
+                alone is not None or located.total_excess < limits.channel_excess
             )
             admissible = admissible and not small and len(option.chosen.keys) == 1
             equivalent, ahead = _as_adequate(located, option, found.singles, limits, clock)
@@ -176,7 +177,8 @@ def _judged(
         hidden = found.hidden and not located.nominal.model.description.has_body
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
             return _Verdict(option, judged, rivals, remaining, adequacy, shown, equivalent, ahead)
-    alone = _moved_alone(located, limits, first_use=first_use)
+    if not located.own_misfit:
+        alone = _moved_alone(located, limits, first_use=first_use)
     if found.held is not None and alone is None:
         option, reference = found.held.option, found.held.reference
         judged = held_out(option.final, option.chosen, reference=reference, folds=folds, tick=clock.tick)
@@ -214,7 +216,7 @@ def _named(
             located.problem, located.nominal, chosen, rival, limits, names=pairs[0], say=clock.say
         )
     residual = final.residual - chosen.deviation
-    drift = _drift(final, residual, verdict.judged)
+    drift = _drift(final, residual, verdict.judged, chosen)
     mimics: tuple[Hypothesis, ...] = ()
     if drift.significant(limits.drift_p):
         others = [h for h in found.candidates if h.key not in chosen.keys]
@@ -273,19 +275,19 @@ def _unnamed(
 
 
 def _moved_alone(located: Located, limits: Limits, *, first_use: bool) -> Drift | None:
-    """Few constants that explain by themselves what differs, of a device with a body whose calibration was another day's."""
-    if first_use or not located.nominal.model.description.has_body:
-        return None
-    return moved_alone(located.problem, limits)
+    """Few constants that explain by themselves what differs, of a device whose calibration was another day's."""
+    return None if first_use else moved_alone(located.problem, limits)
 
 
-def _drift(problem: LinearisedProblem, residual: Floats, judged: HeldOut) -> Drift:
-    """The move of the constants that a residual (N,) leads to.
+def _drift(
+    problem: LinearisedProblem, residual: Floats, judged: HeldOut, chosen: Explanation | None = None
+) -> Drift:
+    """The move of the constants that a residual (N,) leads to, beside what is named.
 
     On a device without body what a law misses on one path is not what it misses on another, and constants make up for it: the
     standard deviations are wider by the error on held-out blocks over that of the calibration.
     """
-    drift = drift_of(problem, residual)
+    drift = drift_of(problem, residual, chosen)
     if problem.nominal.model.description.has_body:
         return drift
     return drift.widened(max(1.0, *(judged.after[c] / judged.floor[c] for c in judged.after)))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from vo2_models.diagnosis.explain import Explanation
 from vo2_models.diagnosis.nuisance import Constant
 from vo2_models.diagnosis.problem import LinearisedProblem
 
@@ -28,12 +29,14 @@ class Drift:
     covariance : (d, d) of the steps, what the calibration left open included, widened for misfit that is correlated over
         long stretches
     weights : (t,) of all thermal columns, every constant free
+    others : other constants that explain as much by themselves, see `moved_alone`
     """
 
     constants: tuple[Constant, ...]
     steps: Floats
     covariance: Floats
     weights: Floats
+    others: tuple[Drift, ...] = ()
 
     @property
     def chi_square(self) -> float:
@@ -96,7 +99,7 @@ class Drift:
 
         Returns
         -------
-        one or more, each of its constants only
+        one or more, each of its constants only; `others` last
         """
         precision = np.linalg.pinv(self.covariance, hermitian=True)
         along = precision @ self.steps
@@ -114,20 +117,22 @@ class Drift:
             if not others or found[0][0] <= chi2.isf(probability, others):
                 break
             found = []
-        return [drift for left, drift in found if left <= found[0][0] + rival]
+        return [*(drift for left, drift in found if left <= found[0][0] + rival), *self.others]
 
 
-def drift_of(problem: LinearisedProblem, residual: Floats) -> Drift:
+def drift_of(problem: LinearisedProblem, residual: Floats, chosen: Explanation | None = None) -> Drift:
     """Return the posterior of the drifting constants.
 
-    The covariance is (B'B + I)^-1 of the whole nuisance model. It is widened by the sandwich: the influence of each
+    The covariance C is (B'B + I)^-1 of the whole nuisance model. It is widened by the sandwich: the influence of each
     sample on an estimate, times what is left of the residual, summed over long stretches, scatters as the deviation says
-    only if the residual is noise.
+    only if the residual is noise. Beside an effect, with tangent T (N, p) and covariance S (p, p) of its parameters,
+    (C B'T) S (C B'T)' is added: a gain and a creep that goes on all the time trade off.
 
     Parameters
     ----------
-    problem : without effects
-    residual : (N,) whitened, about the model's own constants
+    problem : without effects, or about those of `chosen`
+    residual : (N,) whitened, about the model's own constants, what `chosen` explains taken out
+    chosen : what is named beside
     """
     first = problem.nuisance.shape[1] - len(problem.constants)
     places = [k for k, c in enumerate(problem.constants) if c.drifts]
@@ -143,4 +148,7 @@ def drift_of(problem: LinearisedProblem, residual: Floats) -> Drift:
     plain = np.sum(influence**2, axis=0)
     wider = np.sqrt(np.maximum(scatter / np.maximum(plain, 1e-300), 1.0))
     scaled = covariance * np.outer(wider, wider)
+    if chosen is not None:
+        across = influence.T @ chosen.tangent
+        scaled = scaled + across @ chosen.covariance @ across.T
     return Drift(constants, weights[first:][places], scaled, weights[first:])

@@ -7,6 +7,8 @@ no accident, and the loops have not changed.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,7 +37,11 @@ def moved_alone(problem: LinearisedProblem, limits: Limits) -> Drift | None:
     Parameters
     ----------
     problem : without effects
-    limits : `alone`, `alone_from`, `alone_gain`, `alone_misfit` and `sigmas`
+    limits : `alone`, `alone_from`, `alone_gain`, `alone_misfit`, `rival` and `sigmas`
+
+    Returns
+    -------
+    with as many other constants in `others` that leave no more, in units of what is left
     """
     # a dead time that is another one is an effect by its name
     free = [k for k, c in enumerate(problem.constants) if c.drifts and c.name != "driver.dead_time"]
@@ -73,8 +79,8 @@ def moved_alone(problem: LinearisedProblem, limits: Limits) -> Drift | None:
                 break
         return shift, here
 
-    def judged(shift: Floats, here: Floats, places: list[int]) -> tuple[Floats, Floats]:
-        """Distance (m,) from zero in deviations, and the covariance (m, m), widened for misfit over long stretches."""
+    def drift_to(shift: Floats, here: Floats, places: list[int]) -> Drift:
+        """With covariance (m, m) widened for misfit over long stretches."""
         own = columns(shift, places, here)
         inverse = np.linalg.pinv(own.T @ own)
         influence = own @ inverse
@@ -83,10 +89,7 @@ def moved_alone(problem: LinearisedProblem, limits: Limits) -> Drift | None:
         # what is left is the loops', and moves an estimate by at most its length times the plain deviation
         wider = np.maximum(wider, limits.alone_misfit * np.sqrt(here @ here))
         covariance = inverse * np.outer(wider, wider) + np.diag([known[k] ** 2 for k in places])
-        # a constant that changes nothing here has no deviation, and has not moved
-        std = np.sqrt(np.diag(covariance))
-        sigmas = np.where(std > 0.0, np.abs(shift[places]) / np.where(std > 0.0, std, 1.0), 0.0)
-        return sigmas.astype(np.float64), covariance.astype(np.float64)
+        return Drift(tuple(problem.constants[k] for k in places), shift[places], covariance, shift)
 
     shift = np.zeros(len(problem.constants))
     here = left(shift)
@@ -94,18 +97,30 @@ def moved_alone(problem: LinearisedProblem, limits: Limits) -> Drift | None:
     if total < limits.alone_from * problem.count:
         return None
     places: list[int] = []
-    covariance = np.zeros((0, 0))
+    told: Drift | None = None
     while len(places) < MOST:
         others = [k for k in free if k not in places]
         slopes = columns(shift, others, here)
         drops = (slopes.T @ here) ** 2 / np.maximum(np.sum(slopes**2, axis=0), 1e-300)
         likely = [others[k] for k in np.argsort(-drops)[:_TRIED]]
-        trials = [(k, *searched(shift, [*places, k])) for k in likely]
-        k, further, there = min(trials, key=lambda trial: float(trial[2] @ trial[2]))
-        sigmas, wide = judged(further, there, [*places, k])
-        if there @ there > (1.0 - limits.alone_gain) * (here @ here) or np.min(sigmas) < limits.sigmas:
+        trials = [(*searched(shift, [*places, k]), [*places, k]) for k in likely]
+        lefts = [float(trial[1] @ trial[1]) for trial in trials]
+        best, least = int(np.argmin(lefts)), min(lefts)
+        drift = drift_to(*trials[best])
+        # a constant that changes nothing here has no deviation, and has not moved
+        surely = np.all(np.abs(drift.steps) >= limits.sigmas * np.sqrt(np.diag(drift.covariance)))
+        if least > (1.0 - limits.alone_gain) * (here @ here) or not (
+            surely and np.all(drift.covariance.diagonal() > 0.0)
+        ):
             break
-        places, shift, here, covariance = [*places, k], further, there, wide
-    if not places or here @ here > limits.alone * total:
+        as_good = [
+            k
+            for k, each in enumerate(lefts)
+            if k != best and each - least <= limits.rival * least / problem.count
+        ]
+        told = replace(drift, others=tuple(drift_to(*trials[k]) for k in as_good))
+        shift, here, places = trials[best]
+    count = problem.count
+    if told is None or here @ here - count > limits.alone * (total - count):
         return None
-    return Drift(tuple(problem.constants[k] for k in places), shift[places], covariance, shift)
+    return told

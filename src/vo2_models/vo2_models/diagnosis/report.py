@@ -344,7 +344,8 @@ def equally_likely(study: Study) -> tuple[str, ...]:
 
     A single name must be more likely than everything else together. Where none is, but an effect of the catalogue is likelier
     than something that is in none, the fewest effects that hold most of the probability are told in its place. On a device
-    without body those that explain as much are told, unless one is ahead of them by what is left and by its probability.
+    without body those that explain as much are told, unless one is ahead of them by what is left and by its probability, and
+    those that give the same values.
 
     Parameters
     ----------
@@ -356,7 +357,11 @@ def equally_likely(study: Study) -> tuple[str, ...]:
     probability = _candidates(study)[1]
     if not study.located.problem.nominal.model.description.has_body:
         alone = study.decision.ahead and probability[chosen.keys[0]] > study.limits.credible
-        return () if alone else study.decision.equivalent
+        others = () if alone else study.decision.equivalent
+        records = {h.key: h.record for h in study.search.candidates}
+        told = others or chosen.keys
+        same = [other for key in told for other in records[key].same_values]
+        return (*told, *same) if same else others
     if probability[chosen.keys[0]] > 0.5 or _something_else(study) >= 0.5:
         return ()
     order = sorted(probability, key=lambda key: (-probability[key], key != chosen.keys[0]))
@@ -596,7 +601,9 @@ def _one_of(study: Study, best: NamedEffect) -> NamedEffect:
     can be told: what is theirs is the sensor's, see `families.OF_ONE_LOOP`.
     """
     every = {h.key: h for h in study.search.candidates}
-    families = [every[key].record.family(every[key].signal) for key in study.decision.equivalent]
+    families = [
+        every[key].record.family(every[key].signal) for key in study.decision.equivalent if key in every
+    ]
     equivalent = _ids(study.decision.equivalent)
     if study.located.problem.nominal.model.description.is_one_loop:
         excess = study.located.excess

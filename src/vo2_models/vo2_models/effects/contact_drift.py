@@ -12,6 +12,7 @@ EFFECT = Effect(
     ),
     channels=(RESISTANCE,),
     course="rate",
+    same_values=("sensor_zero_drift",),
     order=25,
     needs=("resistance",),
     typical={"integrated": {"rate": (40.0, 200.0)}, "peltier": {"rate": (0.05, 0.3)}},

@@ -231,6 +231,8 @@ class Effect:
     fixed : parameters that an excitation cannot separate from the others; a fit leaves them at their default
     course : parameter whose product with the time is the effect's amplitude, where that may take any slow course in time
         and a straight line is the simplest; empty for none
+    same_values : ids of effects that would give its channel the same values and are no candidates there; on a device without
+        body, where nothing else tells them apart, the answer holds them too
     linear : whether what a structure or a sensor makes of a sum is the sum of what it makes of the parts
     order : place among the effects of its hook, lowest first; the order of the signal's way through the device
     derived : names of the numbers that `prepare(values, period, time_constant)` returns, for the hooks
@@ -253,6 +255,7 @@ class Effect:
     needs: tuple[str, ...] = ()
     fixed: tuple[str, ...] = ()
     course: str = ""
+    same_values: tuple[str, ...] = ()
     linear: bool = True
     order: int = 50
     derived: tuple[str, ...] = ()
