@@ -478,6 +478,17 @@ def test_a_gain_or_a_zero_that_has_moved_is_told_as_that(model, change, constant
     assert found.search.scores and not found.search.singles
 
 
+def test_beside_a_constant_that_explains_by_itself_nothing_is_named_within_the_misfit(model):
+    late = recorded(2, change=lambda y: 1.12 * (y[0] + lfilter([0.8], [1, -0.2], y - y[0])))
+    found = study([late], model)
+    assert found.decision.verdict == "drifted" and found.search.options
+    assert found.located.own_misfit[TIP_DEFLECTION] < found.limits.unlike_misfit
+    (told,) = assemble_diagnosis(found).moved
+    assert told.constant == "deflection.gain" and abs(told.now - 1.12) < 3.0 * told.std
+    # a set of all that is late otherwise
+    assert study([late], model, limits=replace(found.limits, alone=-1.0)).decision.equivalent
+
+
 def test_a_moved_ambient_is_told_as_an_offset_of_the_drive_where_nothing_is_heated(unchanged):
     model = unchanged.located.nominal.model
     gain = model.scalars["thermal.linear_gain"]
@@ -486,22 +497,31 @@ def test_a_moved_ambient_is_told_as_an_offset_of_the_drive_where_nothing_is_heat
     assert report._as_drive(unchanged, replace(room, constant="deflection.zero")) == ""
 
 
-@pytest.mark.slow
-def test_a_gain_of_a_resistance_is_told_as_that_and_not_as_its_logarithm():
+def resistance_of(recording: Recording, gain: float = 1.0, growth: float = 0.0) -> Recording:
+    """Of a film whose resistance [ohm] follows the same law over a decade; `growth` of the contact in ohm."""
+    decades = recording[TIP_DEFLECTION] / np.ptp(LAW(np.linspace(0.0, 10.0, 50)))
+    ohms = gain * 10 ** (3 + decades) + growth * np.linspace(0.0, 1.0, SIZE)
+    return Recording(recording.time_s, {HEATER_CURRENT: recording[HEATER_CURRENT], RESISTANCE: ohms}, "film")
+
+
+@pytest.fixture(scope="module")
+def film():
     ohms = described(
         {**json.loads(DEVICE.document), "id": "film", "responses": {"ohms": {"unit": "ohm"}}}, "film"
     )
+    return fit_model([resistance_of(recorded(1))], ohms.key, law="plays")[1]
 
-    def of(recording: Recording, gain: float = 1.0) -> Recording:
-        decades = recording[TIP_DEFLECTION] / np.ptp(LAW(np.linspace(0.0, 10.0, 50)))
-        return Recording(
-            recording.time_s,
-            {HEATER_CURRENT: recording[HEATER_CURRENT], RESISTANCE: gain * 10 ** (3 + decades)},
-            "film",
-        )
 
-    fitted = fit_model([of(recorded(1))], ohms.key, law="plays")[1]
-    found = study([of(recorded(2), 1.4)], fitted)
+@pytest.mark.slow
+def test_a_contact_that_drifts_and_a_zero_of_the_meter_are_told_together(film):
+    (effect,) = assemble_diagnosis(study([resistance_of(recorded(2), growth=400.0)], film)).effects
+    assert effect.id == "unknown" and effect.family == "sensor:ohms"
+    assert {"contact_drift", "sensor_zero_drift"} <= set(effect.siblings)
+
+
+@pytest.mark.slow
+def test_a_gain_of_a_resistance_is_told_as_that_and_not_as_its_logarithm(film):
+    found = study([resistance_of(recorded(2), 1.4)], film)
     drift = found.decision.drift
     (place,) = (k for k, c in enumerate(drift.constants) if c.name == "resistance.gain")
     assert found.decision.verdict == "drifted"

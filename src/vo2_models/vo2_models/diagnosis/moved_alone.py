@@ -89,7 +89,9 @@ def moved_alone(problem: LinearisedProblem, limits: Limits) -> Drift | None:
         # what is left is the loops', and moves an estimate by at most its length times the plain deviation
         wider = np.maximum(wider, limits.alone_misfit * np.sqrt(here @ here))
         covariance = inverse * np.outer(wider, wider) + np.diag([known[k] ** 2 for k in places])
-        return Drift(tuple(problem.constants[k] for k in places), shift[places], covariance, shift)
+        return Drift(
+            tuple(problem.constants[k] for k in places), shift[places], covariance.astype(np.float64), shift
+        )
 
     shift = np.zeros(len(problem.constants))
     here = left(shift)
@@ -97,7 +99,7 @@ def moved_alone(problem: LinearisedProblem, limits: Limits) -> Drift | None:
     if total < limits.alone_from * problem.count:
         return None
     places: list[int] = []
-    told: Drift | None = None
+    alone: Drift | None = None
     while len(places) < MOST:
         others = [k for k in free if k not in places]
         slopes = columns(shift, others, here)
@@ -107,20 +109,16 @@ def moved_alone(problem: LinearisedProblem, limits: Limits) -> Drift | None:
         lefts = [float(trial[1] @ trial[1]) for trial in trials]
         best, least = int(np.argmin(lefts)), min(lefts)
         drift = drift_to(*trials[best])
+        variance = np.diag(drift.covariance)
         # a constant that changes nothing here has no deviation, and has not moved
-        surely = np.all(np.abs(drift.steps) >= limits.sigmas * np.sqrt(np.diag(drift.covariance)))
-        if least > (1.0 - limits.alone_gain) * (here @ here) or not (
-            surely and np.all(drift.covariance.diagonal() > 0.0)
-        ):
+        surely = np.all((drift.steps**2 >= limits.sigmas**2 * variance) & (variance > 0.0))
+        if least > (1.0 - limits.alone_gain) * (here @ here) or not surely:
             break
-        as_good = [
-            k
-            for k, each in enumerate(lefts)
-            if k != best and each - least <= limits.rival * least / problem.count
-        ]
-        told = replace(drift, others=tuple(drift_to(*trials[k]) for k in as_good))
+        most = least * (1.0 + limits.rival / problem.count)
+        as_good = [k for k, left_by in enumerate(lefts) if k != best and left_by <= most]
+        alone = replace(drift, others=tuple(drift_to(*trials[k]) for k in as_good))
         shift, here, places = trials[best]
     count = problem.count
-    if told is None or here @ here - count > limits.alone * (total - count):
+    if alone is None or here @ here - count > limits.alone * (total - count):
         return None
-    return told
+    return alone
