@@ -5,17 +5,19 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from vo2_models.recording import Recording
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from vo2_models.device.description import DeviceDescription
     from vo2_models.device.model import DeviceModel
-    from vo2_models.prediction import Prediction
+    from vo2_models.prediction import ChannelPrediction, Prediction
 
 from vo2_models.command_line import refuse
 
@@ -131,21 +133,34 @@ def prediction_page(prediction: Prediction, model: DeviceModel) -> str:
     sections = []
     for role, one in prediction.channels.items():
         name, unit = device.names[role], device.units[role]
-        with new_figure(height_in=3.2) as figure:
-            course, loop = figure.subplots(1, 2, width_ratios=(2, 1), sharey=True)
+        judged = one.measured is not None
+        with new_figure(height_in=4.4 if judged else 3.2) as figure:
+            heights = (3, 1) if judged else (1,)
+            places = figure.subplot_mosaic(
+                "cl;dl" if judged else "cl", width_ratios=(2, 1), height_ratios=heights
+            )
+            course, loop = places["c"], places["l"]
             for axes, x in ((course, prediction.time_s), (loop, prediction.drive)):
                 if one.measured is not None:
                     axes.plot(x, one.measured, color=COLOURS["true"], label="measured")
                 axes.plot(x, one.value, color=COLOURS["fit"], linestyle="--", label="predicted")
+                axes.set_yscale("log" if role == "film_resistance" else "linear")
             course.fill_between(
                 prediction.time_s, one.lower, one.upper, color=COLOURS["fit"], alpha=0.2, label="95 % bounds"
             )
-            if role == "film_resistance":
-                course.set_yscale("log")
-            course.set_xlabel("time [s]")
+            if judged:
+                _residual(
+                    places["d"],
+                    prediction.time_s,
+                    one,
+                    f"log10 {unit}" if role == "film_resistance" else unit,
+                )
+                course.tick_params(labelbottom=False)
+                places["d"].sharex(course)
+            places["d" if judged else "c"].set_xlabel("time [s]")
             course.set_ylabel(f"{name} [{unit}]")
             loop.set_xlabel(f"{device.drive_channel} [{device.drive_unit}]")
-            course.legend()
+            figure.legend(*course.get_legend_handles_labels(), loc="outside upper right", ncols=3)
         sections.append(
             section(name, figure_html(figure, f"{name} over the time and over the drive, device {device.id}"))
         )
@@ -153,6 +168,21 @@ def prediction_page(prediction: Prediction, model: DeviceModel) -> str:
     lead = f"What the fitted model of device {device.id} expects, started {start}."
     found = [paragraph(line) for line in summary(prediction, device)]
     return page(f"Prediction, {device.id}", lead, [section("Result", *found), *sections])
+
+
+def _residual(axes: Axes, time_s: NDArray[np.float64], one: ChannelPrediction, unit: str) -> None:
+    """Draw measured minus predicted, and the bounds about it."""
+    from vo2_models.page.figures import COLOURS
+
+    of: Callable[[NDArray[np.float64]], NDArray[np.float64]] = (
+        np.log10 if unit.startswith("log10") else np.asarray
+    )
+    axes.fill_between(
+        time_s, of(one.lower) - of(one.value), of(one.upper) - of(one.value), color=COLOURS["fit"], alpha=0.2
+    )
+    if one.measured is not None:
+        axes.plot(time_s, of(one.measured) - of(one.value), color=COLOURS["true"])
+    axes.set_ylabel(f"difference\n[{unit}]")
 
 
 def _recording(options: argparse.Namespace, device: DeviceDescription) -> Recording:

@@ -122,6 +122,7 @@ def _residual_figure(study: Study) -> str:
     rows = [(row, part) for row, part, _ in problem.iterate() if row.part == 0]
     left = problem.residual
     after = _explained_residual(study)
+    of_first = f"of the first recording, {problem.parts[0].name}, " if len(problem.parts) > 1 else ""
     with new_figure(7.2, 1.9 * len(rows) + 0.4) as figure:
         axes = np.atleast_1d(figure.subplots(len(rows), 1, sharex=True))
         for axis, (row, part) in zip(axes, rows, strict=True):
@@ -132,16 +133,18 @@ def _residual_figure(study: Study) -> str:
                 plain = problem.in_its_unit(row, vector) * scale
                 low, high, middle = _envelope(time, plain)
                 axis.fill_between(middle, low, high, color=colour, alpha=0.55, linewidth=0, label=name)
-            for sign in (-2, 2):
-                axis.axhline(sign * noise.level * scale, color=NOISE, linestyle="--", linewidth=0.8)
+            for sign, name in ((-2, "two standard deviations of the noise"), (2, None)):
+                axis.axhline(
+                    sign * noise.level * scale, color=NOISE, linestyle="--", linewidth=0.8, label=name
+                )
             axis.set_ylabel(label)
-        axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+        axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
         axes[-1].set_xlabel("time / s")
         return figure_html(
             figure,
-            "Residual (measured minus simulated) over time, before and after; each band spans the "
-            "smallest and largest value of an interval, dashed lines are two standard deviations of the noise. After: with the "
-            "correction, and the loop shape refitted within the uncertainty of the calibration.",
+            f"Residual (measured minus simulated) {of_first}over time, before and after; each band spans the smallest and largest "
+            "value of an interval. After: with the correction, and the loop shape refitted within the uncertainty of the "
+            "calibration.",
         )
 
 
