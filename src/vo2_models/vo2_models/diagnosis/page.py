@@ -142,8 +142,8 @@ def _residual_figure(study: Study) -> str:
         axes[-1].set_xlabel("time / s")
         return figure_html(
             figure,
-            f"Residual (measured minus simulated) {of_first}over time, before and after; each band spans the smallest and largest "
-            "value of an interval. After: with the correction, and the loop shape refitted within the uncertainty of the "
+            f"Residual (measured minus simulated) {of_first}over time, before and after; each band spans the smallest and "
+            "largest value of an interval. After: with the correction, and the loop shape refitted within the uncertainty of the "
             "calibration.",
         )
 
