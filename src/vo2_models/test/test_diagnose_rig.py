@@ -27,6 +27,7 @@ from vo2_models.diagnosis.report import assemble_diagnosis, moved_in_place
 from vo2_models.diagnosis.result import MovedConstant
 from vo2_models.hysteresis.preisach import PreisachOperator
 from vo2_models.identification.model_fit import fit_model
+from vo2_models.prediction import predict
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
 DEVICE = described(
@@ -487,6 +488,18 @@ def test_beside_a_constant_that_explains_by_itself_nothing_is_named_within_the_m
     assert told.constant == "deflection.gain" and abs(told.now - 1.12) < 3.0 * told.std
     # a set of all that is late otherwise
     assert study([late], model, limits=replace(found.limits, alone=-1.0)).decision.equivalent
+
+
+def test_what_was_before_is_the_model_as_it_is_also_where_constants_have_moved(model):
+    late = recorded(2, change=lambda y: 1.4 * y)
+    found = study([late], model)
+    predicted = predict(found.located.nominal.model, late).channels[TIP_DEFLECTION]
+    assert found.decision.judged.before[TIP_DEFLECTION] == pytest.approx(
+        predicted.error, rel=0.1
+    )  # where no fold has been is not judged
+    (row,) = found.located.problem.rows
+    difference = predicted.measured - predicted.value
+    np.testing.assert_allclose(found.located.problem.residual_as_fitted(row), difference, atol=1e-12)
 
 
 def test_a_moved_ambient_is_told_as_an_offset_of_the_drive_where_nothing_is_heated(unchanged):

@@ -26,7 +26,7 @@ class HeldOut:
     ----------
     share : of the excess explained
     drop : of chi-square of the held-out blocks, given the others
-    before, after, floor : channel -> root mean square in judged units: nominal simulation, explained, noise
+    before, after, floor : channel -> root mean square in judged units: of the model as it is, explained, noise
     spread : largest relative spread of a parameter over the folds, in standard deviations of the fit
     stable : whether every fold agrees in sign and within a factor of two on every magnitude
     """
@@ -139,8 +139,8 @@ def held_out(
         count += int(np.count_nonzero(use))
         for row in problem.rows:
             some = use[row.where]
-            for name, vector in (("before", nominal.residual), ("after", with_it)):
-                plain = problem.in_its_unit(row, vector)
+            errors = {"before": nominal.residual_as_fitted(row), "after": problem.in_its_unit(row, with_it)}
+            for name, plain in errors.items():
                 squares[name][row.channel] = squares[name].get(row.channel, 0.0) + float(
                     np.sum(plain[some] ** 2)
                 )

@@ -20,7 +20,7 @@ __all__ = ["report_page"]
 
 Floats = NDArray[np.float64]
 SHOWN = {
-    RESISTANCE: ("resistance", "residual of\nlog10(R/ohm) / 0.001", 1e3),
+    RESISTANCE: ("resistance", "residual of\n1000 log10(R/ohm)", 1e3),
     TIP_DEFLECTION: ("deflection", "residual of\ndeflection / um", 1e6),
     STAGE_TEMPERATURE: ("stage temperature", "residual of\ntemperature / K", 1.0),
     HEATER_CURRENT: ("heater current", "residual of\ncurrent / mA", 1e3),
@@ -58,7 +58,7 @@ def _labels(study: Study) -> dict[str, tuple[str, str, float]]:
             continue
         found[channel] = (own, f"residual of\n{own} / {unit}", 1.0)
         if channel == RESISTANCE:
-            found[channel] = (own, f"residual of\nlog10({own}/{unit}) / 0.001", 1e3)
+            found[channel] = (own, f"residual of\n1000 log10({own}/{unit})", 1e3)
     return found
 
 
@@ -85,7 +85,7 @@ def _where(study: Study, diagnosis: Diagnosis) -> str:
     rows = [
         (
             own[p.signal][0],
-            f"{100 * p.share:.0f} %",
+            f"{100 * p.share:.0f}\u00a0%",
             p.branch,
             "-"
             if p.temperature_degC is None
@@ -120,7 +120,6 @@ def _residual_figure(study: Study) -> str:
     labels = _labels(study)
     problem = study.located.problem
     rows = [(row, part) for row, part, _ in problem.iterate() if row.part == 0]
-    left = problem.residual
     after = _explained_residual(study)
     of_first = f"of the first recording, {problem.parts[0].name}, " if len(problem.parts) > 1 else ""
     with new_figure(7.2, 1.9 * len(rows) + 0.4) as figure:
@@ -129,11 +128,14 @@ def _residual_figure(study: Study) -> str:
             noise = problem.nominal.noise[row.channel]
             _, label, scale = labels[row.channel]
             time = part.time_s - part.time_s[0]
-            for vector, colour, name in ((left, BEFORE, "before"), (after, AFTER, "after")):
-                plain = problem.in_its_unit(row, vector) * scale
-                low, high, middle = _envelope(time, plain)
-                axis.fill_between(middle, low, high, color=colour, alpha=0.55, linewidth=0, label=name)
-            for sign, name in ((-2, "two standard deviations of the noise"), (2, None)):
+            before = problem.residual_as_fitted(row)
+            explained = problem.in_its_unit(row, after)
+            # light and dark, so that grey print tells them apart too
+            bands = (before, BEFORE, 0.45, "before"), (explained, AFTER, 0.9, "after")
+            for plain, colour, alpha, name in bands:
+                low, high, middle = _envelope(time, plain * scale)
+                axis.fill_between(middle, low, high, color=colour, alpha=alpha, linewidth=0, label=name)
+            for sign, name in ((-2, "two standard deviations of the noise"), (2, "_")):
                 axis.axhline(
                     sign * noise.level * scale, color=NOISE, linestyle="--", linewidth=0.8, label=name
                 )
@@ -142,9 +144,9 @@ def _residual_figure(study: Study) -> str:
         axes[-1].set_xlabel("time / s")
         return figure_html(
             figure,
-            f"Residual (measured minus simulated) {of_first}over time, before and after; each band spans the smallest and "
-            "largest value of an interval. After: with the correction, and the loop shape refitted within the uncertainty of the "
-            "calibration.",
+            f"Residual (measured minus simulated) {of_first}over time; each band spans the smallest and largest value of an "
+            "interval. Before: by the model file as it is. After: with the correction, and the loop shape refitted within the "
+            "uncertainty of the calibration.",
         )
 
 
@@ -207,6 +209,7 @@ def _map_figure(
         grid[0, 0].legend()
         grid[0, 1].set_xlabel("frequency / Hz")
         grid[0, 1].set_ylabel("share below")
+        grid[0, 1].set_ylim(0.0, 1.05)
         return figure_html(
             figure,
             f"Where each channel's excess sits: over {loop_axis.partition(' / ')[0]}, over frequency (cumulative), on which "

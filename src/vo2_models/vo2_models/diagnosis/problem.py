@@ -184,6 +184,17 @@ class LinearisedProblem:
         """Whiten (n,) or (n, p) in a channel's unit, as the residual was."""
         return self.whitening[self.rows.index(row)](columns)
 
+    @cached_property
+    def responses_as_fitted(self) -> tuple[Response, ...]:
+        """Responses of every part of the model as it is: no effect beside its own, no constant moved, no loop refitted."""
+        model = replace(self.nominal, corrections={})
+        return tuple(model.respond(part.current, part.dt, settled=part.settled) for part in self.parts)
+
+    def residual_as_fitted(self, row: Row) -> Floats:
+        """Measured minus simulated (n,) by the model as it is, in the channel's unit; 0 where a sample is missing."""
+        part, simulated = self.parts[row.part], self.responses_as_fitted[row.part].channels[row.channel]
+        return np.where(part.valid[row.channel], part.observed[row.channel] - simulated, 0.0)
+
     def misfit_in(self, row: Row) -> bool:
         """Whether the device's own misfit is expected in a channel."""
         return bool(np.any(self.whitening[self.rows.index(row)].slope))

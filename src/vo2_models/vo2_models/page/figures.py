@@ -28,6 +28,7 @@ COLOURS = {
 _RC: dict[Any, Any] = {
     "font.size": 9,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.alpha": 0.3,
     "legend.frameon": False,
     "legend.fontsize": 8,
