@@ -48,6 +48,19 @@ def test_every_node_gives_all_its_parameters_and_takes_a_model_file_at_start_and
     graph.check()
 
 
+def test_a_parameter_that_no_node_has_ends_with_what_may_be_meant(graph):
+    ended = subprocess.run(
+        [sys.executable, "-m", MODULES["controller"], "--ros-args", "-p", "limits.uper_a:=0.001"],
+        env=graph.environment(),
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert ended.returncode == 2
+    last = ended.stderr.strip().splitlines()[-1]
+    assert last.endswith("limits.uper_a: no such parameter; did you mean limits.upper_a?")
+
+
 @pytest.mark.parametrize(
     ("executable", "parameter", "message"),
     [
@@ -56,7 +69,8 @@ def test_every_node_gives_all_its_parameters_and_takes_a_model_file_at_start_and
         ("plant", "effects:='{antigravity: {g: 1}}'", "antigravity"),
         ("plant", "source:=model", "source: found model, need model.* parameters"),
         ("controller", "kind:=bang_bang", "kind: need one of"),
-        ("reference", "steps.levels_m:=[0.5]", "steps.levels_m"),
+        ("reference", "steps.levels_m:=[0.5]", "steps.levels_m: found 0.5 m, need at most 0.00057"),
+        ("controller", "limits.upper_a:=0.02", "limits.upper_a: found 0.02 A"),
         ("estimator", "model.thermal.time_constant:=-1.0", "model.thermal.time_constant"),
     ],
 )

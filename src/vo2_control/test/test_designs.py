@@ -30,3 +30,11 @@ def test_a_designer_that_has_died_is_told_however_often_it_is_asked():
         with pytest.raises(ValueError, match="the process that designs has died"):
             designer.answer()
     designer.close()
+
+
+@pytest.mark.parametrize("kind", ["pi", "pid", "hinf"])
+def test_a_model_of_another_device_is_refused(kind):
+    with pytest.raises(ValueError, match=r"model\.device: found peltier, need the preset integrated"):
+        design_controller(
+            kind, preset="integrated", sample_period_s=1e-3, values={"model.device": "peltier", "pid.kp": 1.0}
+        )

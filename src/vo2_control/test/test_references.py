@@ -39,8 +39,18 @@ def test_a_step_starts_with_the_sample_of_its_time_whatever_the_rounding(level, 
 
 @pytest.mark.parametrize("name", ["triangle", "sine"])
 def test_an_unknown_signal_is_refused_with_those_there_are(name):
-    with pytest.raises(ValueError, match="need one of steps, multisine for the preset peltier"):
+    with pytest.raises(ValueError, match=r"for device peltier, need steps, multisine, steps\.levels_m"):
         reference_signal("peltier", name)
+
+
+def test_a_device_of_a_file_has_no_signals_but_those_that_are_given(tmp_path):
+    device = tmp_path / "rig.yaml"
+    device.write_text(
+        "schema: vo2-device/1\nid: rig\ndrive: {channel: volts, unit: V, limits: [0, 150], operating: [0, 100]}\n"
+        "body: {kind: none}\nresponses: {stroke: {unit: m}}\n"
+    )
+    with pytest.raises(ValueError, match=r"found 'steps' for device rig, need steps\.levels_m, multisine"):
+        reference_signal(str(device), "steps")
 
 
 @pytest.mark.parametrize(

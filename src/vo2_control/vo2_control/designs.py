@@ -39,11 +39,18 @@ __all__ = [
 
 CONTROLLER_KINDS = ("pi", "pid", "hinf")
 
+DRIVE = 1e6
+"""Most that a parameter takes, of any drive; the limits of the device are narrower, see `check_device_limits`."""
 LIMIT_PARAMETERS = (
     Parameter(
-        "limits.lower_a", 0.0, "A", "Smallest current; equal to upper_a for the operating range.", -10.0, 10.0
+        "limits.lower_a",
+        0.0,
+        "A",
+        "Smallest current, or drive of a device that has another; equal to upper_a for the operating range.",
+        -DRIVE,
+        DRIVE,
     ),
-    Parameter("limits.upper_a", 0.0, "A", "Largest current.", -10.0, 10.0),
+    Parameter("limits.upper_a", 0.0, "A", "Largest current or drive.", -DRIVE, DRIVE),
     Parameter("limits.rate_a_per_s", 0.0, "A/s", "Largest rate of the current; 0 for none.", 0.0, 1e6),
 )
 _OPERATING = Parameter(
@@ -51,8 +58,8 @@ _OPERATING = Parameter(
     0.0,
     "A",
     "Current about which a law was designed, added to what it commands; a law without integral action needs it.",
-    -10.0,
-    10.0,
+    -DRIVE,
+    DRIVE,
 )
 CONTROLLER_PARAMETERS = (*PID_PARAMETERS, *DESIGN_PARAMETERS, *LIMIT_PARAMETERS, _OPERATING)
 
@@ -86,11 +93,13 @@ def design_controller(
 
     Raises
     ------
-    ValueError : unknown kind, or parameters that make no controller; `DesignRefused` for a robust design that
-        fails a check.
+    ValueError : unknown kind, a model of another device, or parameters that make no controller; `DesignRefused` for a
+        robust design that fails a check.
     """
     if kind not in CONTROLLER_KINDS:
         raise ValueError(f"kind: found {kind!r}, need one of {', '.join(CONTROLLER_KINDS)}")
+    if device := values.get("model.device"):
+        check_model_of(str(device), preset)
     check_device_limits(preset, sample_period_s, values)
     limits = current_limits(preset, values)
     if kind == "hinf":

@@ -20,15 +20,24 @@ from vo2_interface.topics import (
     REFERENCE,
     REFERENCE_CHANNELS,
 )
+from vo2_models.device.description import preset as description
 from vo2_models.parameters import Parameter
+from vo2_models.recording import TIP_DEFLECTION
 
 from vo2_control.references import REFERENCES, Multisine, ReferenceSignal, Steps, read_table, reference_signal
 
 __all__ = ["REFERENCE_PARAMETERS", "ReferenceNode", "main"]
 
+LEVEL = 1e6
+"""Most that a set-point may be, in the unit of the device's response: metres, or what a device file has."""
+_FAR = 10.0
+"""Set-point over the range of the device's response from which it is a mistake in the unit."""
 REFERENCE_PARAMETERS = (
     Parameter(
-        "preset", "integrated", "", "Device preset the default signals belong to.", choices=tuple(REFERENCES)
+        "preset",
+        "integrated",
+        "",
+        "Device: integrated, peltier, or the path of a device file, whose signals are given below.",
     ),
     Parameter(
         "signal",
@@ -38,17 +47,23 @@ REFERENCE_PARAMETERS = (
         choices=("steps", "sine", "multisine", "csv", "none"),
     ),
     Parameter(
-        "steps.levels_m", [], "m", "Levels in turn; empty for the preset's.", -1e-3, 1e-3, kind="float_array"
+        "steps.levels_m",
+        [],
+        "m",
+        "Levels in turn; empty for the preset's.",
+        -LEVEL,
+        LEVEL,
+        kind="float_array",
     ),
     Parameter("steps.hold_s", 1.0, "s", "How long each level of steps.levels_m lasts.", 1e-6, 1e6),
-    Parameter("multisine.offset_m", 30e-6, "m", "Mean of the sum of sines.", -1e-3, 1e-3),
+    Parameter("multisine.offset_m", 30e-6, "m", "Mean of the sum of sines.", -LEVEL, LEVEL),
     Parameter(
         "multisine.amplitudes_m",
         [],
         "m",
         "Amplitudes of the sines; empty for the preset's signal.",
-        -1e-3,
-        1e-3,
+        -LEVEL,
+        LEVEL,
         kind="float_array",
     ),
     Parameter(
@@ -67,6 +82,7 @@ class ReferenceNode(Node):
         self._table = ParameterTable(
             self, (*REFERENCE_PARAMETERS, *model_parameters()), read_only=("preset",)
         )
+        self._device = description(self._table.text("preset"))
         self._diagnostics = Diagnostics(self)
         self._signal: ReferenceSignal | None = self._build()
         self._revision = self._table.revision
@@ -114,6 +130,15 @@ class ReferenceNode(Node):
 
     def _build(self) -> ReferenceSignal | None:
         table = self._table
+        known = self._device.id in REFERENCES  # of another device the range may not be told
+        span, unit = self._device.deflection_range if known else LEVEL, self._device.units[TIP_DEFLECTION]
+        for name in ("steps.levels_m", "multisine.offset_m", "multisine.amplitudes_m"):
+            levels = table.numbers(name) if isinstance(table[name], list) else [table.number(name)]
+            if name in table.given() and max(map(abs, levels), default=0.0) > _FAR * span:
+                raise ValueError(
+                    f"{name}: found {max(levels, key=abs):g} {unit}, need at most {_FAR * span:g}: device {self._device.id} "
+                    f"moves over {span:g} {unit}"
+                )
         signal = table.text("signal")
         if signal == "none":
             return None

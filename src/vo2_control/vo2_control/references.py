@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from vo2_models.device.description import preset
 from vo2_models.validation import finite_array, increasing, positive_number
 
 __all__ = ["REFERENCES", "Multisine", "ReferenceSignal", "Steps", "Table", "read_table", "reference_signal"]
@@ -124,19 +125,19 @@ REFERENCES: dict[str, dict[str, ReferenceSignal]] = {
 REFERENCES["peltier_chapter8"] = REFERENCES["peltier"]
 
 
-def reference_signal(preset: str, signal: str) -> ReferenceSignal:
-    """Return the signal `steps`, `sine` or `multisine` of a device preset.
+def reference_signal(device: str, signal: str) -> ReferenceSignal:
+    """Return the signal `steps`, `sine` or `multisine` of a shipped device.
 
     Raises
     ------
-    ValueError : the preset has no such signal.
+    ValueError : unknown device, or one without such a signal.
     """
-    if preset not in REFERENCES:
-        raise ValueError(f"preset: found {preset!r}, need one of {', '.join(REFERENCES)}")
-    signals = REFERENCES[preset]
+    own = preset(device).id
+    signals = REFERENCES.get(own, {})
     if signal not in signals:
         raise ValueError(
-            f"signal: found {signal!r}, need one of {', '.join(signals)} for the preset {preset}"
+            f"signal: found {signal!r} for device {own}, need {', '.join(signals)}{', ' if signals else ''}steps.levels_m, "
+            "multisine.amplitudes_m, csv with a file, or none"
         )
     return signals[signal]
 

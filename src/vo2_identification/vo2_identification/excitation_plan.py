@@ -48,7 +48,7 @@ EXCITATION_PARAMETERS = (
         0.0,
         1e6,
     ),
-    Parameter("excitation.levels_a", [], "A", "Levels for kind levels.", -10.0, 10.0, kind="float_array"),
+    Parameter("excitation.levels_a", [], "A", "Levels for kind levels.", -1e6, 1e6, kind="float_array"),
     Parameter(
         "excitation.hold_s", 0.0, "s", "Time at each level; 0 for quasi-static on the preset.", 0.0, 1e5
     ),

@@ -14,7 +14,9 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import redirect_stdout
+from difflib import get_close_matches
 from io import StringIO
+from itertools import pairwise
 from pathlib import Path
 from types import FrameType, SimpleNamespace
 from typing import Any, Protocol
@@ -53,6 +55,8 @@ _ORDINARY: dict[int, Callable[[int, FrameType | None], Any] | signal.Handlers] =
     signal.SIGTERM: signal.SIG_DFL,
 }
 """What Python does on a signal, whatever handler was there as a node began to load."""
+_SET_PARAMETER = re.compile(r"(?:[^:=]+:)?([^:=]+):=")
+_OF_ROS = ("qos_overrides.", "use_sim_time", "start_type_description_service")
 _SOURCE_LINE = re.compile(r",? at /[^ ,]*:\d+")
 _BAD_FILE = re.compile(r"params file: '--params-file (.*?)'\. Error: (.*?)(?:, at /.*)?$")
 
@@ -268,6 +272,9 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
                 return 0
             nodes.append(make())
             executor.add_node(nodes[-1])
+        if unknown := _unknown_parameter(list(sys.argv if args is None else args), nodes):
+            print(f"{program}: {unknown}", file=sys.stderr)
+            return 2
         _outlive_steps_of_the_clock(executor, nodes[0])
         # the first turn takes the timers over, and prints a warning for each beyond the eighth
         with redirect_stdout(StringIO()):
@@ -299,6 +306,21 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
         stop.obeyed()
         close_once()
         leave_graph(executor, nodes)
+
+
+def _unknown_parameter(line: Sequence[str], nodes: Sequence[Node]) -> str:
+    """What is wrong with a parameter that the command line sets and no node has: ROS passes over it, a limit too; else nothing.
+
+    Files are not judged: one file may serve the nodes of several processes.
+    """
+    known = [name for node in nodes for name in node.get_parameters_by_prefix("")]
+    for option, text in pairwise(line):
+        found = _SET_PARAMETER.match(text)
+        if option in ("-p", "--param") and found and not (found[1] in known or found[1].startswith(_OF_ROS)):
+            near = get_close_matches(found[1], known, n=1)
+            hint = f"did you mean {near[0]}?" if near else "--help lists what there is"
+            return f"{found[1]}: no such parameter; {hint}"
+    return ""
 
 
 def _outlive_steps_of_the_clock(executor: Executor, node: Node) -> None:

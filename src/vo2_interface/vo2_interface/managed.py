@@ -51,7 +51,7 @@ class ManagedNode(LifecycleNode):
         super().__init__(name, namespace=namespace)
         # rclpy's own handler dies of a transition that the state does not have, and the process with it
         self._service_change_state.callback = self._on_change_state
-        self._active = self._broken = False
+        self._active = self._broken = self._starting = False
         self._cause: Exception | None = None
         self._outlet: Diagnostics | None = None
 
@@ -95,9 +95,11 @@ class ManagedNode(LifecycleNode):
         if not autostart:
             self._say("ok", "unconfigured: waits for the transitions configure and activate")
             return
+        self._starting = True
         for trigger in (self.trigger_configure, self.trigger_activate):
             if trigger() != TransitionCallbackReturn.SUCCESS:
                 raise self._cause or RuntimeError(f"{self.get_name()} did not start")
+        self._starting = False
 
     def _guarded(self, callback: Callable[..., None]) -> Callable[..., None]:
         """Return a callback that leads to the safe current where `callback` fails."""
@@ -170,7 +172,8 @@ class ManagedNode(LifecycleNode):
             step()
         except ValueError as error:
             self._cause = error
-            self._say("error", f"{name}: {' '.join(str(error).split())}")
+            if not self._starting:  # whoever starts the process tells it
+                self._say("error", f"{name}: {' '.join(str(error).split())}")
             return TransitionCallbackReturn.FAILURE
         except Exception as error:
             self._cause = error
