@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import vo2_models as vo2
 import yaml
 from vo2_identification.bags import read_bag, write_bag
 from vo2_models.device import preset
@@ -49,6 +50,25 @@ def test_the_draft_is_a_device_file(folder):
     assert device.noise["tip_deflection"] == pytest.approx(2e-8, rel=0.3)
     assert device.sample_period == pytest.approx(DT)
     assert "# drive: drive_voltage was taken for the drive" in text
+
+
+def test_a_drafted_heater_heats_by_the_square_of_its_current(tmp_path, capsys):
+    current = 3.68e-3 + 4.81e-3 * np.repeat(vo2.damped_oscillation(np.linspace(0.0, 1.0, 13)), 10)
+    write_bag(tmp_path / "bag", vo2.simulate("integrated", current, seed=1))
+    assert describe.main(["--bag", str(tmp_path / "bag"), "--output", str(tmp_path / "device.yaml")]) == 0
+    device = preset(tmp_path / "device.yaml")
+    assert device.linear_gain == 0.0 and device.square_gain * current.max() ** 2 == pytest.approx(
+        75.0, rel=0.01
+    )
+    assert "body: the heat was taken to go as the square" in (tmp_path / "device.yaml").read_text(
+        encoding="utf-8"
+    )
+    arguments = ["--bag", str(tmp_path / "bag"), "--device", str(tmp_path / "device.yaml"), "--quiet"]
+    assert fit.main([*arguments, "--simulation-only", "--output", str(tmp_path / "model.yaml")]) == 0
+    sensors = vo2.load_model_parameters(tmp_path / "model.yaml")
+    # heat that goes as the current left 19 times the noise
+    residual, noise = (sensors[f"model.sensors.film_resistance.{key}"] for key in ("residual", "noise"))
+    assert residual < 4.0 * noise
 
 
 def test_the_draft_marks_what_it_could_not_know(tmp_path, capsys):

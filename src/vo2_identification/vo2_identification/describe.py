@@ -36,6 +36,8 @@ _WORDS = {
     "power": ("power", "watt"),
 }
 """Quantity -> what in a channel's name tells it."""
+_ROOM, _RISE = 22.0, 75.0
+"""Temperature [degC] without drive and its rise [K] at the largest: without a thermometer they are no more than a scale."""
 _UNKNOWN = "?"
 
 
@@ -164,7 +166,14 @@ def drafted(recording: Recording, drive: str | None) -> tuple[Document, list[str
         found = " and ".join(f"a {kind} of about {size:.3g} s" for kind, size in sizes if size)
         notes.append(f"the responses are behind the drive with {found}; `fit` finds it again")
         if chosen == HEATER_CURRENT and dynamics.lag:
-            document["body"] = {"kind": "first_order", "time_constant": significant(dynamics.lag, 3)}
+            body = {"kind": "first_order", "time_constant": significant(dynamics.lag, 3)}
+            if low >= 0.0:
+                body |= {"ambient": _ROOM, "linear_gain": 0.0, "square_gain": significant(_RISE / high**2, 3)}
+                notes.append(
+                    f"body: the heat was taken to go as the square of the current; {_ROOM:g} degC and {_RISE:g} K at the largest "
+                    "current only set the scale. Write linear_gain where it goes as the current itself"
+                )
+            document["body"] = body
     return document, notes
 
 

@@ -197,7 +197,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--simulation-only",
         action="store_true",
-        help="leave out the laws of self-sensing, which `estimator` needs and `diagnose` does not: half the time",
+        help="leave out the laws of self-sensing that the estimator's kinds combined, preisach, egpi and polynomial need: half "
+        "the time",
     )
     parser.add_argument("--quiet", action="store_true", help="no progress on standard error")
     return parser
