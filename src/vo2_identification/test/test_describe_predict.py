@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import vo2_models as vo2
 import yaml
 from vo2_identification.bags import read_bag, write_bag
 from vo2_models.device import preset
 from vo2_models.hysteresis.preisach import PreisachOperator
 from vo2_models.recording import Recording
 
+import vo2_models as vo2
 from vo2_identification import describe, fit, predict
 
 DT = 0.02
