@@ -139,7 +139,13 @@ def pid_controller(gains: PidGains, limits: CurrentLimits, sample_period_s: floa
 
 
 PID_PARAMETERS: tuple[Parameter, ...] = (
-    Parameter("pid.kp", 0.0, "A/m", "Proportional gain (A^2/m in the coordinate heating_power)."),
+    Parameter(
+        "pid.kp",
+        0.0,
+        "A/m",
+        "Proportional gain (A^2/m in the coordinate heating_power); where no gain is set, they are tuned for the model, and "
+        "without one are the published ones of the preset.",
+    ),
     Parameter("pid.ki", 0.0, "A/(m s)", "Integral gain (A^2/(m s) in the coordinate heating_power)."),
     Parameter("pid.kd", 0.0, "A s/m", "Derivative gain; 0 makes it a PI."),
     Parameter("pid.derivative_filter_s", 0.0, "s", "Time constant of the derivative's filter.", lower=0.0),

@@ -1,11 +1,15 @@
 """Sensors: what values show by themselves, and what a program makes of them sample by sample."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from concealed_devices import DEVICE, calibrated, calibration, concealed, measured
 from vo2_models.diagnosis import diagnose, study
+from vo2_models.diagnosis.adequacy import ends_flat
 from vo2_models.diagnosis.files import write_results
 from vo2_models.diagnosis.nominal import Nominal
+from vo2_models.diagnosis.report import assemble_diagnosis
 from vo2_models.effects import effect
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
@@ -101,9 +105,17 @@ def test_an_analogue_limit_before_the_noise_is_found_by_the_fit(parameters) -> N
     whole = concealed()
     high = float(np.quantile(whole[TIP_DEFLECTION], 0.8))
     noise = 1e-7 * np.random.default_rng(5).standard_normal(whole.time_s.size)
-    answer = diagnose([with_tip(whole, lambda tip: np.minimum(tip, high) + noise)], parameters)
+    found = study([with_tip(whole, lambda tip: np.minimum(tip, high) + noise)], parameters)
+    answer = assemble_diagnosis(found)
     assert named(answer)[0] == ("adc_saturation", TIP_DEFLECTION)
     assert answer.effects[0].parameters["high"].value == pytest.approx(high, abs=2e-7)
+    # where the values go on beyond it, the law misses the end of its range
+    option = found.search.options[0]
+    (part,) = option.final.parts
+    going_on = part.observed[TIP_DEFLECTION] + 0.05 * np.maximum(whole[TIP_DEFLECTION] - high, 0.0)
+    bent = replace(part, observed={**part.observed, TIP_DEFLECTION: going_on})
+    assert ends_flat(option, found.limits)
+    assert not ends_flat(replace(option, final=replace(option.final, parts=(bent,))), found.limits)
 
 
 def test_rest_and_few_repeats_are_no_limit() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import sys
 import textwrap
 from types import ModuleType
 
@@ -32,7 +33,10 @@ def usage(module: ModuleType | None) -> str:
                 model |= record.name.startswith(_MODEL)
                 if not record.name.startswith(_MODEL):
                     records[record.name] = record
-        model |= name == "model_parameters"
+        # a node that is built on another takes what that takes
+        bases = getattr(value, "__mro__", ())
+        takes = any(hasattr(sys.modules.get(base.__module__), "model_parameters") for base in bases)
+        model |= name == "model_parameters" or takes
     parts = [inspect.getdoc(module) or ""]
     if records:
         parts.append("Parameters:\n" + "\n".join(map(_entry, records.values())))

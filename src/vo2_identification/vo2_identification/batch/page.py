@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from vo2_models.page.figures import figure_html, new_figure
 from vo2_models.page.page import page, paragraph, section, table
@@ -31,6 +33,7 @@ _ABOUT = (
 _MOST_FIGURES = 12
 _MOST_DEVICES = 12
 _MOST_LINES = 40
+_MOST_NAMED = 20
 
 
 def batch_page(command: str, rows: Sequence[Row], failed: Mapping[str, str], left: int) -> str:
@@ -86,7 +89,7 @@ def _numbers(done: Sequence[Row]) -> str:
         finite = values[np.isfinite(values)]
         low, middle, high = np.quantile(finite, (0.05, 0.5, 0.95))
         lines.append((name, finite.size, f"{low:.5g}", f"{middle:.5g}", f"{high:.5g}"))
-    return section("Constants", table("", ("constant", "bags", "5 %", "median", "95 %"), lines))
+    return section("Numbers", table("", ("number", "bags", "5 %", "median", "95 %"), lines))
 
 
 def _figures(done: Sequence[Row]) -> str:
@@ -131,7 +134,7 @@ def _history(name: str, done: Sequence[Row], values: Floats) -> str:
             mine = np.isfinite(values) & ((of == device) if device is not None else True)
             order = np.flatnonzero(mine)[np.argsort(at[mine], kind="stable")]
             marker = "osD^v<>phX*P"[number % 12]
-            line = "-" if device is not None and (by_time or len(devices) == 1) else ""
+            line = "-" if device is not None and by_time else ""
             axes.errorbar(
                 at[order],
                 values[order],
@@ -142,6 +145,10 @@ def _history(name: str, done: Sequence[Row], values: Floats) -> str:
                 label=device or None,
             )
         axes.set(xlabel="time / h" if by_time else "bag", ylabel=name)
+        if not by_time and len(done) <= _MOST_NAMED:
+            axes.set_xticks(at, [Path(str(row["bag"])).name[-24:] for row in done], rotation=30, ha="right")
+        elif not by_time:
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         if 1 < len(devices) <= _MOST_DEVICES:
             axes.legend()
         return figure_html(figure, f"{name}, with one standard deviation where it is known")

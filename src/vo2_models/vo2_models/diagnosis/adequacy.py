@@ -9,6 +9,7 @@ and it is not used up by one effect, so that more than the device's own misfit i
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +19,24 @@ from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.pairs import Option, trace
 from vo2_models.diagnosis.problem import LinearisedProblem, at_sensor
 from vo2_models.diagnosis.propagate_correction import as_sensed
+from vo2_models.recording import RESISTANCE
 
-__all__ = ["Adequacy", "adequacy_of", "over_misfit", "reached", "shown", "sureness", "where_told"]
+__all__ = [
+    "Adequacy",
+    "adequacy_of",
+    "ends_flat",
+    "over_misfit",
+    "reached",
+    "shown",
+    "sureness",
+    "where_told",
+]
 
 Floats = NDArray[np.float64]
+FLAT = 20
+"""Samples beyond a limit from which it is asked whether they are flat."""
+QUARTILE = 0.6745
+"""Median of the size of a normal deviate."""
 CONCENTRATED = 4
 """Rounds in which the samples that are told are chosen; the choice hardly changes after two."""
 
@@ -97,6 +112,35 @@ def reached(option: Option) -> set[str]:
         for row in option.final.rows
         if row.channel in known and float(np.sum(acting[row.where] ** 2)) > 1.0
     }
+
+
+def ends_flat(option: Option, limits: Limits) -> bool:
+    """Return whether a channel that an explanation cuts off is flat there but for its noise; True where it cuts none off.
+
+    Beyond a limit nothing of the loops is left, nor their misfit: where the values go on, the law misses the end of its range.
+
+    Parameters
+    ----------
+    option : the explanation with the problem about it
+    limits : with how much more than noise may be left
+    """
+    problem = option.final
+    for hypothesis, values in zip(option.chosen.hypotheses, option.chosen.values, strict=True):
+        walls = [name for name in hypothesis.walls if name in values]
+        for (row, part, response), name in product(problem.iterate(), walls):
+            if row.channel != hypothesis.signal:
+                continue
+            above = float(hypothesis.parameter(name).default) > 0.0  # type: ignore[arg-type]
+            end = np.log10(values[name]) if row.channel == RESISTANCE else values[name]
+            simulated, noise = response.channels[row.channel], problem.nominal.noise[row.channel].level
+            beyond = (simulated >= end if above else simulated <= end) & (problem.weight[row.where] > 0)
+            off = (part.observed[row.channel] - end)[beyond]
+            if off.size >= FLAT:
+                # noise that has grown since the calibration goes up and down from sample to sample, misfit does not
+                by_steps = float(np.median(np.abs(np.diff(off)))) / np.sqrt(2.0)
+                if np.median(np.abs(off)) > limits.flat * max(QUARTILE * noise, by_steps):
+                    return False
+    return True
 
 
 def _left_in(problem: LinearisedProblem, residual: Floats, channels: set[str]) -> tuple[float, int]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device.coefficients import HUGE
-from vo2_models.diagnosis.adequacy import Adequacy, adequacy_of, over_misfit, reached
+from vo2_models.diagnosis.adequacy import Adequacy, adequacy_of, ends_flat, over_misfit, reached
 from vo2_models.diagnosis.breakdown import Breakdown, breakdown
 from vo2_models.diagnosis.drift import Drift, drift_of
 from vo2_models.diagnosis.explain import Explanation, Score, score
@@ -330,7 +330,7 @@ def _mimics_of_constants(
 
 
 def _is_admissible(option: Option, judged: HeldOut, adequacy: Adequacy, limits: Limits) -> bool:
-    """Whether an explanation is significant, stable, adequate, inside its physical bounds, and harms no channel."""
+    """Whether an explanation is significant, stable, adequate, physical, harms no channel, and ends flat what it cuts off."""
     chosen = option.chosen
     return (
         _significant(chosen, limits)
@@ -338,6 +338,7 @@ def _is_admissible(option: Option, judged: HeldOut, adequacy: Adequacy, limits: 
         and adequacy.something_else(limits) < limits.doubt
         and not chosen.at_bound
         and not _worsens(option, judged)
+        and ends_flat(option, limits)
     )
 
 

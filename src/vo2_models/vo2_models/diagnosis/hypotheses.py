@@ -98,6 +98,13 @@ class Hypothesis:
         return tuple(p.name for p in self.record.parameters if p.unit == "s" and abs(_neutral(p)) >= HUGE)
 
     @property
+    def walls(self) -> tuple[str, ...]:
+        """Parameters at which a channel's values end."""
+        return tuple(
+            p.name for p in self.record.parameters if p.unit == "channel unit" and abs(_neutral(p)) >= HUGE
+        )
+
+    @property
     def choices(self) -> tuple[str, ...]:
         """Parameters that are not fitted: alternatives are tried both ways."""
         return tuple(p.name for p in self.record.parameters if p.unit == CHOICE)

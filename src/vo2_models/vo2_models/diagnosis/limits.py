@@ -212,6 +212,12 @@ class Limits:
         "standard deviation of what a misfit moves such a constant by, as a share of the most that it can: of eight moves of "
         "three devices that others simulated the furthest lay 2.9 and 1.2 of these deviations off, by scatter alone up to 9",
     )
+    flat: float = _limit(
+        1.25,
+        "median distance, over that of noise alone, of the values beyond a limit of a channel from it, up to which the channel "
+        "ends there: 0.9 at most of three simulated sensors that end before their noise, between 1.4 and 2 of an unchanged drawn "
+        "device whose law misses the end of its range",
+    )
     constant_moved: float = _limit(
         4.0, "move of one constant, in standard deviations, from which it counts in what moved constants cost"
     )
