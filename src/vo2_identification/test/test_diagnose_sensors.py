@@ -112,7 +112,7 @@ def test_an_analogue_limit_before_the_noise_is_found_by_the_fit(parameters) -> N
     # where the values go on beyond it, the law misses the end of its range
     option = found.search.options[0]
     (part,) = option.final.parts
-    going_on = part.observed[TIP_DEFLECTION] + 0.05 * np.maximum(whole[TIP_DEFLECTION] - high, 0.0)
+    going_on = part.observed[TIP_DEFLECTION] + 0.5 * np.maximum(whole[TIP_DEFLECTION] - high, 0.0)
     bent = replace(part, observed={**part.observed, TIP_DEFLECTION: going_on})
     assert ends_flat(option, found.limits)
     assert not ends_flat(replace(option, final=replace(option.final, parts=(bent,))), found.limits)
