@@ -133,7 +133,9 @@ def ends_flat(option: Option, limits: Limits) -> bool:
             above = float(hypothesis.parameter(name).default) > 0.0  # type: ignore[arg-type]
             end = np.log10(values[name]) if row.channel == RESISTANCE else values[name]
             simulated, noise = response.channels[row.channel], problem.nominal.noise[row.channel].level
-            beyond = (simulated >= end if above else simulated <= end) & (problem.weight[row.where] > 0)
+            # the problem is about the fit before the last step: as near to the end as noise
+            at_end = simulated > end - noise if above else simulated < end + noise
+            beyond = at_end & (problem.weight[row.where] > 0)
             off = (part.observed[row.channel] - end)[beyond]
             if off.size >= FLAT:
                 # noise that has grown since the calibration goes up and down from sample to sample, misfit does not

@@ -215,7 +215,7 @@ class Limits:
     flat: float = _limit(
         1.25,
         "median distance, over that of noise alone, of the values beyond a limit of a channel from it, up to which the channel "
-        "ends there: 0.9 at most of three simulated sensors that end before their noise, between 1.4 and 2 of an unchanged drawn "
+        "ends there: 1.0 at most of three simulated sensors that end before their noise, between 1.4 and 2 of an unchanged drawn "
         "device whose law misses the end of its range",
     )
     constant_moved: float = _limit(
