@@ -29,6 +29,7 @@ def main() -> None:
     found, _ = scheme.estimate(test[RESISTANCE])
 
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.2), constrained_layout=True)
+    figure.get_layout_engine().set(wspace=0.05)
     temperature = recorded["true_temperature"]
     axes[0].semilogy(temperature, recorded[RESISTANCE] / 1e3, color=BLUE, lw=0.8)
     axes[0].set(xlabel="film temperature [°C]", ylabel="resistance [kΩ]", title="resistance falls a decade")
@@ -38,12 +39,10 @@ def main() -> None:
     )
     time = 1e3 * test.time_s
     axes[2].plot(time, 1e6 * test["true_tip_deflection"], color=GREY, lw=2.4, alpha=0.5, label="true")
-    axes[2].plot(
-        time, 1e6 * found.deflection, color=ORANGE, lw=0.9, ls="--", label="from the resistance alone"
-    )
-    axes[2].set(xlabel="time [ms]", ylabel="tip deflection [µm]", title="self-sensing, random current levels")
+    axes[2].plot(time, 1e6 * found.deflection, color=ORANGE, lw=0.9, ls="--", label="estimated")
+    axes[2].set(xlabel="time [ms]", ylabel="tip deflection [µm]", title="estimated from the resistance alone")
     axes[2].set_ylim(-3, 82)
-    axes[2].legend(loc="upper right", ncols=2, frameon=False, fontsize=8)
+    axes[2].legend(loc="upper right", ncols=2, columnspacing=1.0, handlelength=1.6, frameon=False, fontsize=8)
     for axis in axes:
         axis.grid(alpha=0.3)
     figure.savefig(Path(__file__).parent / "picture.png", dpi=130)
