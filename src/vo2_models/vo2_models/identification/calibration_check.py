@@ -129,7 +129,8 @@ def judge_fit(result: FitResult, recordings: Sequence[Recording]) -> list[str]:
                 f"{name} does not follow {device.drive_channel} in a loop: the best one explains "
                 f"{100 * max(explained, 0.0):.0f} % of its variance ({size}), need "
                 f"{100 * _LEAST_EXPLAINED:.0f} %; check the drive's and the time's unit, that the columns belong together, "
-                "and that the device was driven through its loop; or leave the channel out"
+                "that the device was driven through its loop, and that a time constant in the device file is right within a "
+                "factor of a few; or leave the channel out"
             )
         noise = noise_level(channel, sensor.noise)
         if device.has_body and sensor.residual > max(

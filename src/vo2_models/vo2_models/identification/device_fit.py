@@ -156,6 +156,7 @@ def _own_heater(found: FitResult, reference: float) -> FitResult:
 def _check_excited(grids: Sequence[GriddedRecording], device: str) -> None:
     nominal = preset(device)
     low, high = sorted(nominal.operating_range)
+    unit = nominal.drive_unit
     current = np.concatenate([grid.current for grid in grids])
     channels = {name for grid in grids for name in grid.measured}
     if not channels & set(SECTIONS):
@@ -164,8 +165,9 @@ def _check_excited(grids: Sequence[GriddedRecording], device: str) -> None:
         )
     if np.ptp(current) < 0.1 * (high - low):
         raise ValueError(
-            f"recordings: found a current between {current.min():g} and {current.max():g} A, need one that "
-            f"spans at least a tenth of the operating range {low:g} to {high:g} A of device {device}"
+            f"recordings: found {nominal.drive_channel} between {current.min():g} and {current.max():g} {unit}, need one that "
+            f"spans at least a tenth of the operating range {low:g} to {high:g} {unit} of device {nominal.id}: is one of them in "
+            "another unit?"
         )
 
 
