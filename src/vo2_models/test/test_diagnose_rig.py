@@ -494,7 +494,7 @@ def test_what_was_before_is_the_model_as_it_is_also_where_constants_have_moved(m
     late = recorded(2, change=lambda y: 1.4 * y)
     found = study([late], model)
     predicted = predict(found.located.nominal.model, late).channels[TIP_DEFLECTION]
-    assert found.decision.judged.before[TIP_DEFLECTION] == pytest.approx(
+    assert found.decision.judged.as_fitted[TIP_DEFLECTION] == pytest.approx(
         predicted.error, rel=0.1
     )  # where no fold has been is not judged
     (row,) = found.located.problem.rows

@@ -178,7 +178,7 @@ def _judged(
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
             return _Verdict(option, judged, rivals, remaining, adequacy, shown, equivalent, ahead)
     if not located.own_misfit:
-        alone = _moved_alone(located, limits, first_use=first_use)
+        alone = _moved_alone(located, limits, first_use=first_use, held=found.held)
     if found.held is not None and alone is None:
         option, reference = found.held.option, found.held.reference
         judged = held_out(option.final, option.chosen, reference=reference, folds=folds, tick=clock.tick)
@@ -274,9 +274,18 @@ def _unnamed(
     )  # fmt: skip
 
 
-def _moved_alone(located: Located, limits: Limits, *, first_use: bool) -> Drift | None:
-    """Few constants that explain by themselves what differs, of a device whose calibration was another day's."""
-    return None if first_use else moved_alone(located.problem, limits)
+def _moved_alone(
+    located: Located, limits: Limits, *, first_use: bool, held: Held | None = None
+) -> Drift | None:
+    """Few constants that explain by themselves, or as well as an effect in their place, what has changed since calibration."""
+    if first_use:
+        return None
+    if held is None:
+        return moved_alone(located.problem, limits)
+    problem, nothing = located.problem, np.zeros(located.problem.origin.size)
+    begin = problem.residual - problem.nuisance.thermal @ problem.origin
+    left = begin - problem.stack(problem.responses(held.option.chosen.effects, nothing))
+    return moved_alone(problem, limits, rival=float(left @ left))
 
 
 def _drift(

@@ -26,13 +26,16 @@ class HeldOut:
     ----------
     share : of the excess explained
     drop : of chi-square of the held-out blocks, given the others
-    before, after, floor : channel -> root mean square in judged units: of the model as it is, explained, noise
+    as_fitted, after, floor : channel -> root mean square in judged units: of the model as it is, explained, noise
+    before : the same of the residual without the explanation, told from the model's constants along straight lines: what the
+        decisions compare `after` with
     spread : largest relative spread of a parameter over the folds, in standard deviations of the fit
     stable : whether every fold agrees in sign and within a factor of two on every magnitude
     """
 
     share: float
     drop: float
+    as_fitted: dict[str, float]
     before: dict[str, float]
     after: dict[str, float]
     floor: dict[str, float]
@@ -111,7 +114,7 @@ def held_out(
     q_nominal = nominal.chi_square(nominal.residual)
     before_energy = after_energy = 0.0
     count = 0
-    squares: dict[str, dict[str, float]] = {"before": {}, "after": {}}
+    squares: dict[str, dict[str, float]] = {"as_fitted": {}, "before": {}, "after": {}}
     numbers: dict[str, int] = {}
     estimates = []
     masks = list(folds or block_folds(problem))
@@ -139,7 +142,11 @@ def held_out(
         count += int(np.count_nonzero(use))
         for row in problem.rows:
             some = use[row.where]
-            errors = {"before": nominal.residual_as_fitted(row), "after": problem.in_its_unit(row, with_it)}
+            errors = {
+                "as_fitted": nominal.residual_as_fitted(row),
+                "before": problem.in_its_unit(row, nominal.residual),
+                "after": problem.in_its_unit(row, with_it),
+            }
             for name, plain in errors.items():
                 squares[name][row.channel] = squares[name].get(row.channel, 0.0) + float(
                     np.sum(plain[some] ** 2)
@@ -155,6 +162,7 @@ def held_out(
     return HeldOut(
         share,
         before_energy - after_energy,
+        root["as_fitted"],
         root["before"],
         root["after"],
         floor,

@@ -27,7 +27,7 @@ _ENOUGH = 1e-3
 """Relative drop of the squared residual with which a search ends."""
 
 
-def moved_alone(problem: LinearisedProblem, limits: Limits) -> Drift | None:
+def moved_alone(problem: LinearisedProblem, limits: Limits, *, rival: float = 0.0) -> Drift | None:
     """Return the moves of few constants that explain recordings by themselves, or None where none do.
 
     Constants are added one by one, each the one that leaves least after a search of all that move (Gauss and Newton, with
@@ -38,6 +38,8 @@ def moved_alone(problem: LinearisedProblem, limits: Limits) -> Drift | None:
     ----------
     problem : without effects
     limits : `alone`, `alone_from`, `alone_gain`, `alone_misfit`, `rival` and `sigmas`
+    rival : squared residual that an effect in their place leaves with the same loops and no constant moved; what leaves
+        little more, by `alone_beside`, explains as well
 
     Returns
     -------
@@ -118,7 +120,9 @@ def moved_alone(problem: LinearisedProblem, limits: Limits) -> Drift | None:
         as_good = [k for k, left_by in enumerate(lefts) if k != best and left_by <= most]
         alone = replace(drift, others=tuple(drift_to(*trials[k]) for k in as_good))
         shift, here, places = trials[best]
-    count = problem.count
-    if alone is None or here @ here - count > limits.alone * (total - count):
+    # with a body the noise is the sensors', without one it is the law's misfit too, which no constant can take away
+    floor = 0 if problem.nominal.model.description.has_body else problem.count
+    most = max(floor + limits.alone * (total - floor), limits.alone_beside * rival)
+    if alone is None or here @ here > most:
         return None
     return alone

@@ -265,11 +265,11 @@ def _fit(study: Study) -> dict[str, ChannelFit]:
             after[row.channel] = float(np.sqrt(np.mean(plain[use] ** 2)))
     return {
         c: ChannelFit(
-            study.decision.judged.before[c] / span[c],
+            study.decision.judged.as_fitted[c] / span[c],
             after[c] / span[c],
             study.decision.judged.floor[c] / span[c],
         )
-        for c in study.decision.judged.before
+        for c in study.decision.judged.as_fitted
     }
 
 
