@@ -143,7 +143,7 @@ def test_what_is_unusable_is_refused_with_the_reason() -> None:
     flat = np.full(2000, 5e-3)
     cases = {
         "was recorded on device 'peltier'": recording(device="peltier"),
-        "constant": recording(heater_current=flat),
+        "varies by": recording(heater_current=flat),
         "check the unit": recording(heater_current=recording()["heater_current"] * 1e3),
         "clock": recording(time_s=np.cumsum(rng.uniform(0.2e-3, 3e-3, 2000))),
         "sample period": recording(time_s=time * 1e4),

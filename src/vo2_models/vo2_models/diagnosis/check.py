@@ -203,13 +203,13 @@ def _drive(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:
     good = np.isfinite(current)
     if np.count_nonzero(good) < 0.5 * current.size:
         raise Unusable(f"{name}: heater_current is missing from more than half of the samples")
-    device = preset(nominal.device)
+    device = nominal.model.description
     low, high = device.operating_range
     extent = float(np.ptp(current[good]))
     if extent < 0.01 * abs(high - low):
         raise Unusable(
-            f"{name}: heater_current is constant (varies by {extent:.3g} {device.drive_unit}), need an excitation; "
-            "record a composite sequence"
+            f"{name}: heater_current varies by {extent:.3g} {device.drive_unit} of an operating range of {abs(high - low):.3g}: "
+            "check its unit, or record an excitation"
         )
     if extent < 0.3 * abs(high - low):
         return [

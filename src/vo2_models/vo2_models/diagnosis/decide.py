@@ -178,13 +178,17 @@ def _judged(
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
             return _Verdict(option, judged, rivals, remaining, adequacy, shown, equivalent, ahead)
     if not located.own_misfit:
-        alone = _moved_alone(located, limits, first_use=first_use, held=found.held)
+        alone = _moved_alone(located, limits, first_use=first_use)
     if found.held is not None and alone is None:
         option, reference = found.held.option, found.held.reference
         judged = held_out(option.final, option.chosen, reference=reference, folds=folds, tick=clock.tick)
         adequacy = adequacy_of(option, limits)
         if _is_admissible(option, judged, adequacy, limits) and judged.share > limits.share:
-            return _Verdict(option, judged, option.rivals, option.remaining, adequacy, shown, held=found.held)
+            alone = _moved_alone(located, limits, first_use=first_use, held=found.held)
+            if alone is None:
+                return _Verdict(
+                    option, judged, option.rivals, option.remaining, adequacy, shown, held=found.held
+                )
     likeliest = min(judgements, key=lambda one: one.something_else(limits), default=None)
     nothing = held_out(problem, None, folds=folds)
     return _Verdict(None, nothing, rivals, remaining, likeliest, shown, alone=alone)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -84,6 +85,21 @@ class Drift:
         """Whether unchanged constants would move as far with at most this probability."""
         return bool(self.chi_square > chi2.isf(probability, len(self.constants)))
 
+    def of(self, names: Sequence[str]) -> Drift:
+        """Return the moves of some constants, the others held where they were: P_SS^-1 b_S, see `fewest`.
+
+        Parameters
+        ----------
+        names : of the constants, in the order of the answer
+        """
+        own = [next(k for k, c in enumerate(self.constants) if c.name == name) for name in names]
+        precision = np.linalg.pinv(self.covariance, hermitian=True)
+        covariance = np.linalg.pinv(precision[np.ix_(own, own)], hermitian=True)
+        steps = covariance @ (precision @ self.steps)[own]
+        return replace(
+            self, constants=tuple(self.constants[k] for k in own), steps=steps, covariance=covariance
+        )
+
     def fewest(self, probability: float, rival: float) -> list[Drift]:
         """Return the moves of the fewest constants beside which no other has moved, the likeliest set first.
 
@@ -106,12 +122,8 @@ class Drift:
         found = []
         for size in range(1, len(self.constants) + 1):
             for places in combinations(range(len(self.constants)), size):
-                own = list(places)
-                covariance = np.linalg.pinv(precision[np.ix_(own, own)], hermitian=True)
-                steps = covariance @ along[own]
-                left = float(self.steps @ along - steps @ along[own])
-                constants = tuple(self.constants[k] for k in own)
-                found.append((left, replace(self, constants=constants, steps=steps, covariance=covariance)))
+                some = self.of([self.constants[k].name for k in places])
+                found.append((float(self.steps @ along - some.steps @ along[list(places)]), some))
             found.sort(key=lambda one: one[0])
             others = len(self.constants) - size
             if not others or found[0][0] <= chi2.isf(probability, others):

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.diagnosis.drift import Drift
+from vo2_models.diagnosis.drift import Drift, drift_of
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.problem import LinearisedProblem
 
@@ -125,4 +125,15 @@ def moved_alone(problem: LinearisedProblem, limits: Limits, *, rival: float = 0.
     most = max(floor + limits.alone * (total - floor), limits.alone_beside * rival)
     if alone is None or here @ here > most:
         return None
-    return alone
+    return _with_free_loops(problem, alone)
+
+
+def _with_free_loops(problem: LinearisedProblem, alone: Drift) -> Drift:
+    """The same constants where the refit of the loops puts them, if that is within a deviation: misfit biases it less."""
+    free = drift_of(problem, problem.residual).of([c.name for c in alone.constants])
+    if np.any((free.steps - alone.steps) ** 2 > np.diag(alone.covariance)):
+        return alone
+    weights = alone.weights.copy()
+    for constant, step in zip(free.constants, free.steps, strict=True):
+        weights[problem.constants.index(constant)] = step
+    return replace(alone, steps=free.steps, weights=weights)

@@ -735,8 +735,8 @@ def _why_enough(study: Study) -> str:
         if _sure(study):
             return "and what predicts some of it leaves most: the fitted loops' own misfit"
         return (
-            "and no effect of the catalogue nor any function of time, temperature, rate, current or memory predicts it on blocks "
-            "that it was not fitted on: it is the fitted loops' own misfit"
+            "and no effect of the catalogue nor any smooth function of time, temperature, rate, current or memory predicts "
+            f"{100 * study.limits.share:.0f} % of it on blocks that it was not fitted on: taken for the fitted loops' own misfit"
         )
     located, limits = study.located, study.limits
     if located.is_large(limits) and located.within_misfit(limits.unlike_misfit):
@@ -812,8 +812,8 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
         if share < study.limits.share:
             return (
                 f"{head} Nothing known explains it, and no smooth function of time, temperature, rate, current or memory "
-                "predicts it on blocks that it was not fitted on: what it depends on is not in these recordings, or is noise "
-                f"of the rig.{tail}"
+                f"predicts {100 * study.limits.share:.0f} % of it on blocks that it was not fitted on: loops the law misses, "
+                f"what is not in these recordings, or noise of the rig.{tail}"
             )
         return (
             f"{head} Nothing known explains it; it acts in the family {family}. A correction without a name "

@@ -141,6 +141,11 @@ def judge_fit(result: FitResult, recordings: Sequence[Recording]) -> list[str]:
                 "gaps, jumps or a wrong clock in the recording before you trust this model, or for physics that it lacks "
                 "(diagnose --calibration)"
             )
+        elif not device.has_body and sensor.residual > _POOR_NOISE * noise:
+            notes.append(
+                f"{name}: {size}, at a noise of {factor * noise:.2g}: what the law misses{_where(result, channel)}; diagnose "
+                "will not tell changes of less than about twice that from it"
+            )
     return notes
 
 

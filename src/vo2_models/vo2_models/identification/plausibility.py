@@ -60,7 +60,9 @@ def unusual(recording: Recording, device: str) -> list[str]:
     found = []
     negative = int(np.count_nonzero(values <= 0))
     if 0 < negative <= 0.5 * values.size:
-        found.append(f"{RESISTANCE} is not above zero in {negative} samples, which count as missing")
+        found.append(
+            f"{nominal.names[RESISTANCE]} is not above zero in {negative} samples, which count as missing"
+        )
     values = values[values > 0]
     if values.size:
         low, high = nominal.resistance_range
@@ -68,7 +70,7 @@ def unusual(recording: Recording, device: str) -> list[str]:
         if not 1 / _FAR < ratio < _FAR:
             guess = " (is it in kohm?)" if ratio < 1 else ""
             found.append(
-                f"{RESISTANCE} runs from {values.min():.4g} to {values.max():.4g} ohm, device {nominal.id} has "
+                f"{nominal.names[RESISTANCE]} runs from {values.min():.4g} to {values.max():.4g} ohm, device {nominal.id} has "
                 f"{low:.4g} to {high:.4g} ohm: check the unit{guess}"
             )
     return found + small
@@ -88,10 +90,18 @@ def _small_deflection(recording: Recording, nominal: DeviceDescription) -> list[
     # a constant is a broken lead in any unit
     if np.ptp(tip) == 0.0 or np.ptp(tip) * _FAR_RANGE > nominal.deflection_range:
         return []
+    unit = nominal.units.get(TIP_DEFLECTION, "m")
     return [
-        f"{name} spans {np.ptp(tip):.3g} m, device {nominal.id} spans {nominal.deflection_range:.4g} m: check the unit "
-        "(is it in mm?)"
+        f"{name} spans {np.ptp(tip):.3g} {unit}, device {nominal.id} spans {nominal.deflection_range:.4g} {unit}: "
+        f"check the unit{_by_a_thousand(nominal.deflection_range / float(np.ptp(tip)))}"
     ]
+
+
+def _by_a_thousand(ratio: float) -> str:
+    """What a ratio of sizes hints at: nothing where it is far from powers of a thousand."""
+    steps = round(np.log10(ratio) / 3.0) if ratio > 0.0 else 0
+    near = steps > 0 and abs(np.log10(ratio) - 3.0 * steps) < 1.0
+    return f" (off by a factor of {10 ** (3 * steps):,}?)".replace(",", " ") if near else ""
 
 
 def _impossible(role: str, values: NDArray[np.float64], nominal: DeviceDescription) -> str:
@@ -103,7 +113,13 @@ def _impossible(role: str, values: NDArray[np.float64], nominal: DeviceDescripti
         if low >= least - slack and high <= most + slack:
             return ""
         milli = low >= 1e3 * (least - slack) and high <= 1e3 * (most + slack) and high > 20 * most
-        guess = f" (is it in m{unit}?)" if milli else ""
+        guess = (
+            f" (is it in m{unit}?)"
+            if milli and len(unit) == 1
+            else _by_a_thousand(high / most)
+            if most > 0
+            else ""
+        )
         if least >= 0 > low and high <= slack:
             guess = " (is its sign reversed?)"
         return (
@@ -115,7 +131,7 @@ def _impossible(role: str, values: NDArray[np.float64], nominal: DeviceDescripti
     if role == TIP_DEFLECTION and nominal.tells("responses", name, "range"):
         extent = nominal.deflection_range
         if high - low > _FAR_RANGE * extent:
-            guess = " (is it in um?)" if unit == "m" else ""
+            guess = " (is it in um?)" if unit == "m" else _by_a_thousand((high - low) / extent)
             return (
                 f"{name} runs from {low:.4g} to {high:.4g} {unit}, device {nominal.id} spans {extent:.4g} {unit}: "
                 f"check the unit{guess}"
