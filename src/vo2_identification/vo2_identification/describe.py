@@ -32,7 +32,7 @@ _WORDS = {
     "force": ("force", "newton"),
     "pressure": ("pressure",),
     "magnetic moment": ("moment",),
-    "flux density": ("field", "tesla"),
+    "flux density": ("flux", "tesla"),
     "power": ("power", "watt"),
 }
 """Quantity -> what in a channel's name tells it."""
