@@ -53,6 +53,7 @@ class Adequacy:
         a little off leaves of its own: what another channel shows, they cannot explain
     sigmas : how surely its effects act, see `sureness`; infinite where the values themselves show one
     told : share of the samples that this is judged by
+    elsewhere : largest excess power that is left in a channel that its effects do not reach
     """
 
     keys: tuple[str, ...]
@@ -60,6 +61,7 @@ class Adequacy:
     left: float
     sigmas: float
     told: float = 1.0
+    elsewhere: float = 0.0
 
     def something_else(self, limits: Limits) -> float:
         """Return the probability that it is none of these effects.
@@ -86,12 +88,16 @@ def adequacy_of(option: Option, limits: Limits) -> Adequacy:
     chosen, count, remaining = option.chosen, option.final.count, max(option.remaining, 0.0)
     gain = max(chosen.gain, 0.0)
     share = gain / max(gain + count * remaining, 1e-300)
-    beside, others = _left_in(option.final, option.final.residual - chosen.deviation, reached(option))
+    residual, inside = option.final.residual - chosen.deviation, reached(option)
+    beside, others = _left_in(option.final, residual, inside)
+    outside = set(option.final.count_by_channel) - inside
+    elsewhere = max((_left_in(option.final, residual, {channel})[0] for channel in outside), default=0.0)
     left = max(beside - limits.equation * gain / others, 0.0)
     # what this device's law misses of its own calibration is no sign of something else
     beyond, judged = _beyond_misfit(option, limits)
     told = judged.final.count / option.final.count
-    return Adequacy(chosen.keys, share, left * max(beyond, default=1.0), sureness(judged), told)
+    sigmas = sureness(judged)
+    return Adequacy(chosen.keys, share, left * max(beyond, default=1.0), sigmas, told, elsewhere)
 
 
 def reached(option: Option) -> set[str]:

@@ -349,6 +349,7 @@ def _is_admissible(option: Option, judged: HeldOut, adequacy: Adequacy, limits: 
         _significant(chosen, limits)
         and judged.stable
         and adequacy.something_else(limits) < limits.doubt
+        and adequacy.elsewhere < limits.elsewhere
         and not chosen.at_bound
         and not _worsens(option, judged)
         and ends_flat(option, limits)

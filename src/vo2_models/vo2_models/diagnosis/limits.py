@@ -218,6 +218,12 @@ class Limits:
         "standard deviation of what a misfit moves such a constant by, as a share of the most that it can: of eight moves of "
         "three devices that others simulated the furthest lay 2.9 and 1.2 of these deviations off, by scatter alone up to 9",
     )
+    elsewhere: float = _limit(
+        30.0,
+        "excess power left in a channel that a name does not reach, in noise powers, from which the name does not tell what is "
+        "missing: a room that swung by 1.5 K on a device that others simulated was a drifting zero of its thermometer, with 302 "
+        "and 88 left in resistance and deflection",
+    )
     flat: float = _limit(
         1.25,
         "median distance, over that of noise alone, of the values beyond a limit of a channel from it, up to which the channel "
