@@ -9,7 +9,8 @@ import pytest
 from scipy.signal import lfilter
 from vo2_models.device import DeviceModel, preset
 from vo2_models.device.description import described
-from vo2_models.diagnosis import study
+from vo2_models.diagnosis import decide, study
+from vo2_models.diagnosis.adequacy import Adequacy
 from vo2_models.diagnosis.breakdown import one_loop, turning_points
 from vo2_models.diagnosis.check import Unusable, check_recording
 from vo2_models.diagnosis.decide import _is_small
@@ -448,3 +449,11 @@ def test_an_excess_far_beyond_the_calibrations_is_not_the_laws(excess, own) -> N
     located = SimpleNamespace(nominal=nominal, excess={"strain": excess}, left_out=0.1)
     judged = SimpleNamespace(after={"strain": 0.02}, floor={"strain": 0.01})
     assert _is_small(located, judged, Limits()) == own
+
+
+@pytest.mark.parametrize(("elsewhere", "named"), [(29.0, True), (31.0, False)])
+def test_a_name_that_leaves_another_channel_far_off_is_not_given(monkeypatch, elsewhere, named):
+    monkeypatch.setattr(decide, "reached", lambda option: set())
+    option = SimpleNamespace(chosen=SimpleNamespace(hypotheses=(), values=(), at_bound=()), final=None)
+    adequacy = Adequacy(("sensor_zero_drift:stage_temperature",), 0.6, 0.0, 1e3, elsewhere=elsewhere)
+    assert decide._is_admissible(option, SimpleNamespace(stable=True), adequacy, Limits()) == named
