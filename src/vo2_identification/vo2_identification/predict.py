@@ -7,14 +7,13 @@ import csv
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from vo2_models.recording import Recording
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from vo2_models.device.description import DeviceDescription
     from vo2_models.device.model import DeviceModel
     from vo2_models.prediction import ChannelPrediction, Prediction
@@ -170,7 +169,7 @@ def prediction_page(prediction: Prediction, model: DeviceModel) -> str:
     return page(f"Prediction, {device.id}", lead, [section("Result", *found), *sections])
 
 
-def _residual(axes: Axes, time_s: NDArray[np.float64], one: ChannelPrediction, unit: str) -> None:
+def _residual(axes: Any, time_s: NDArray[np.float64], one: ChannelPrediction, unit: str) -> None:
     """Draw measured minus predicted, and the bounds about it."""
     from vo2_models.page.figures import COLOURS
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from vo2_models.page.figures import figure_html, new_figure
 from vo2_models.page.page import page, paragraph, section, table
@@ -148,7 +147,7 @@ def _history(name: str, done: Sequence[Row], values: Floats) -> str:
         if not by_time and len(done) <= _MOST_NAMED:
             axes.set_xticks(at, [Path(str(row["bag"])).name[-24:] for row in done], rotation=30, ha="right")
         elif not by_time:
-            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+            axes.locator_params(axis="x", integer=True)
         if 1 < len(devices) <= _MOST_DEVICES:
             axes.legend()
         return figure_html(figure, f"{name}, with one standard deviation where it is known")
