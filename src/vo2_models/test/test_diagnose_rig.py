@@ -168,7 +168,7 @@ def test_an_excess_that_nothing_predicts_has_no_family(unchanged):
     told = report._summary(
         replace(unchanged, decision=decision), [SimpleNamespace(id="unknown", family="heat")], []
     )
-    assert "no smooth function of time, temperature, rate, current or memory predicts it" in told
+    assert "no smooth function of time, temperature, rate, current or memory predicts 25 %" in told
     assert "heat" not in told
     described = replace(decision, unnamed=SimpleNamespace(share=0.8))
     told = report._summary(
@@ -724,7 +724,9 @@ def test_a_recording_that_says_it_is_of_another_device_is_told_and_two_are_refus
 def test_what_is_refused_is_told_in_the_names_and_units_of_the_device(model):
     still = recorded(2)
     still = replace(still, channels={**still.channels, HEATER_CURRENT: 5.0 + 1e-3 * still[HEATER_CURRENT]})
-    with pytest.raises(ValueError, match=r"volts is constant \(varies by 0.01 V\)"):
+    with pytest.raises(
+        ValueError, match=r"volts varies by 0\.01 V of an operating range of 10: check its unit"
+    ):
         study([still], model)
 
 
