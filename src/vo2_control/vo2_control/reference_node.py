@@ -131,7 +131,10 @@ class ReferenceNode(Node):
     def _build(self) -> ReferenceSignal | None:
         table = self._table
         known = self._device.id in REFERENCES  # of another device the range may not be told
-        span, unit = self._device.deflection_range if known else LEVEL, self._device.units[TIP_DEFLECTION]
+        span, unit = (
+            self._device.deflection_range if known else LEVEL,
+            self._device.units.get(TIP_DEFLECTION, "m"),
+        )
         for name in ("steps.levels_m", "multisine.offset_m", "multisine.amplitudes_m"):
             levels = table.numbers(name) if isinstance(table[name], list) else [table.number(name)]
             if name in table.given() and max(map(abs, levels), default=0.0) > _FAR * span:
