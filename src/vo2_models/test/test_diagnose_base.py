@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import toeplitz
+from scipy.linalg import cholesky_banded, toeplitz
 from scipy.signal import lfilter
 from vo2_models.device import DeviceModel
 from vo2_models.device.coefficients import HUGE, blocks
@@ -95,6 +95,13 @@ def test_variance_of_sums_of_coloured_noise(ar) -> None:
     full = toeplitz(_autocovariance(noise, 40))
     expected = [full[:n, :n].sum() for n in range(41)]
     assert np.allclose(noise.variance_of_sums(40), expected, rtol=1e-9)
+
+
+def test_noise_that_fades_slowly_has_a_covariance_over_long_blocks() -> None:
+    """Cut off while it fades, what is left is the covariance of nothing."""
+    noise = NoiseModel(5e-9, (0.69592625, -0.22417225, -0.05556571, 0.57781745))
+    count = np.tile([150.0, 1.0, 183.0, 1.0, 1.0, 102.0], 40)
+    assert np.all(np.isfinite(cholesky_banded(_block_covariance(noise, count), lower=True)))
 
 
 def test_covariance_of_block_means_is_that_of_the_series() -> None:

@@ -87,6 +87,7 @@ class Coefficient(IntEnum):
     PLAY_HIGH_R = auto()
     PLAY_LOW_D = auto()
     PLAY_HIGH_D = auto()
+    HELD = auto()  # 1 where the drive of a device without heat is known to be held over a sample
 
 
 class Sensor(IntEnum):

@@ -28,6 +28,12 @@ __all__ = ["PARAMETERS", "DeviceModel", "SensorModel", "fitted_names"]
 
 SCALARS = {
     "driver.dead_time": ("s", "dead time between current and heat", 0.0, 1e6),
+    "driver.held": (
+        "1",
+        "1 where the drive of a device without heat is held over a sample, 0 where it goes straight",
+        0.0,
+        1.0,
+    ),
     "thermal.ambient": ("degC", "temperature without current", -1e9, 1e9),
     "thermal.linear_gain": ("K/A", "steady temperature rise per current", -1e12, 1e12),
     "thermal.square_gain": ("K/A^2", "steady temperature rise per squared current", 0.0, 1e15),
@@ -44,6 +50,7 @@ SCALARS = {
 """Scalar parameters of the sections driver and thermal: unit, meaning, range. `model.` goes before."""
 _COEFFICIENT = {
     "driver.dead_time": Coefficient.DEAD_TIME,
+    "driver.held": Coefficient.HELD,
     "thermal.ambient": Coefficient.AMBIENT,
     "thermal.linear_gain": Coefficient.LINEAR_GAIN,
     "thermal.square_gain": Coefficient.SQUARE_GAIN,
@@ -53,6 +60,7 @@ _COEFFICIENT = {
     "thermal.slow_time_constant": Coefficient.SLOW_TIME,
 }
 _NEUTRAL_LEFT_OUT = {
+    "driver.held": ("driver.held",),
     "thermal.power_gain": ("thermal.power_gain",),
     "thermal.slow_share": ("thermal.slow_share", "thermal.slow_time_constant"),
 }

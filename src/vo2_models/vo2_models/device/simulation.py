@@ -63,6 +63,8 @@ FINE = 4
 """Steps of a sample where it counts what happens in between."""
 RINGING = 0.05
 """Cycles per sample from which a mode follows what happens between samples."""
+AT_ONCE = 0.01
+"""Shortest time constant of what happens between two samples, in sample periods: what is faster is there at once."""
 HELD_IN_RINGS = 200
 """Longest delay, lag or window, in sample periods, that is followed in finer steps: the rings of effects hold no more of them."""
 
@@ -160,7 +162,7 @@ class Simulation:
         Parameters
         ----------
         dt : [s]
-        straight : what a structure is given goes straight from sample to sample, and not the way of the heat
+        straight : what a structure is given goes straight from sample to sample, and not the way of heat
 
         Raises
         ------
@@ -185,7 +187,10 @@ class Simulation:
         banks = (self.packed_r, self.packed_d)
         if not (preset(self.device).has_body and any(has_reversible(packed) for packed in banks)):
             c[first_flag() + FLAGS.index("any:phase")] = 0.0
-        between = c[Coefficient.BETWEEN] = c[Coefficient.TIME_CONSTANT] if self.heated else HUGE
+        between = HUGE
+        if self.heated or c[Coefficient.HELD]:
+            between = max(c[Coefficient.TIME_CONSTANT], AT_ONCE * period)
+        c[Coefficient.BETWEEN] = between
         sensed = set()
         for k in np.flatnonzero(on):
             block = blocks()[of.keys[k]]
@@ -193,7 +198,9 @@ class Simulation:
             sensed.add(block.signal)
             values = {p.name: float(c[block.places[p.name]]) for p in record.parameters}
             if record.derived:
-                numbers = record.hooks["prepare"](values, period, math.inf if straight else between)
+                numbers = record.hooks["prepare"](
+                    values, period, math.inf if straight and self.heated else between
+                )
                 for name, number in zip(record.derived, numbers, strict=True):
                     c[block.places[name]] = number
             if "delay" in record.hooks:

@@ -27,8 +27,8 @@ ABOUT = 11
 """Samples, itself among them, from which is seen what is usual about one."""
 RARE = 0.02
 """Largest share of samples that are outliers; more of them are no accidents."""
-LAGS = 300
-"""Samples after which noise is taken as forgotten."""
+LAGS = 2000
+"""Samples after which noise is taken as forgotten: what it is until then is a covariance, cut shorter it need not be one."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,13 @@ class NoiseModel:
         """Standard deviation of the noise itself, in the channel's unit."""
         if not self.ar:
             return self.innovation
-        impulse = np.zeros(2000)
-        impulse[0] = 1.0
-        response = lfilter([1.0], [1.0, *(-a for a in self.ar)], impulse)
-        return self.innovation * float(np.sqrt(np.sum(response**2)))
+        return float(np.sqrt(np.sum(self._response() ** 2)))
+
+    def _response(self) -> Floats:
+        """What one innovation of a standard deviation does from then on (LAGS,)."""
+        impulse = np.zeros(LAGS)
+        impulse[0] = self.innovation
+        return np.asarray(lfilter([1.0], [1.0, *(-a for a in self.ar)], impulse))
 
     def variance_of_sums(self, length: int) -> Floats:
         """Variance of the sum of 0, 1, ... `length` neighbouring samples (length + 1,): n g_0 + 2 sum (n - k) g_k."""
@@ -65,9 +68,7 @@ class NoiseModel:
 
     def _covariance(self, lags: int) -> Floats:
         """Autocovariance at 0, 1, ... lags - 1 samples (lags,)."""
-        impulse = np.zeros(2000)
-        impulse[0] = self.innovation
-        h = lfilter([1.0], [1.0, *(-a for a in self.ar)], impulse)
+        h = self._response()
         return np.array([h[: h.size - k] @ h[k:] for k in range(lags)])
 
     def every(self, apart: int) -> NoiseModel:

@@ -11,6 +11,7 @@ Whether the drive heats, and heats the film itself, is `rig_heat`'s.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -21,6 +22,8 @@ from scipy.signal import lfilter, lfilter_zi
 
 from vo2_models.device.description import DeviceDescription
 from vo2_models.device.mode import mode_step
+from vo2_models.device.simulation import AT_ONCE
+from vo2_models.effects import effects
 from vo2_models.identification.bank_fit import Late
 from vo2_models.identification.grid import GriddedRecording
 from vo2_models.identification.noise import residual_colour
@@ -83,6 +86,8 @@ class RigDynamics:
         lag of the drive besides
     behind : lag of the sensor behind the loops [s]
     frequency, damping : of a mode behind the loops of what moves [Hz, 1], 0 where there is none
+    held : whether the drive is held over a sample, so that what is behind the loops is given what follows with `lag` after a
+        jump; else it goes straight from sample to sample
     slow_share, slow : part of what the drive does that arrives through a second, slower lag [1], and that lag [s]
     degree : of the memoryless part
     score : sum over the responses of the logarithm of the held-out error
@@ -96,6 +101,7 @@ class RigDynamics:
     behind: float = 0.0
     frequency: float = 0.0
     damping: float = 0.0
+    held: bool = False
     slow_share: float = 0.0
     slow: float = 0.0
     degree: int = DEGREES[0]
@@ -192,7 +198,8 @@ def relaxing(
 def ringing(grids: Sequence[GriddedRecording], dynamics: RigDynamics) -> Late | None:
     """Return what all of a response along `loop_path` goes through where it rings: z'' + 2 zeta w z' + w^2 z = w^2 D.
 
-    As `cantilever_resonance` does on a device without body: between samples D goes straight. Each recording begins at rest.
+    As `cantilever_resonance` does on a device without body: between samples D goes straight, or as a held drive behind its
+    lag does. Each recording begins at rest.
 
     Parameters
     ----------
@@ -207,7 +214,9 @@ def ringing(grids: Sequence[GriddedRecording], dynamics: RigDynamics) -> Late | 
         return None
 
     def step(dt: float) -> tuple[Floats, Floats]:
-        (zz, zr, zl, zn), (rz, rr, rl, rn) = mode_step(dynamics.frequency, dynamics.damping, dt)
+        (zz, zr, zl, zn), (rz, rr, rl, rn) = mode_step(
+            dynamics.frequency, dynamics.damping, dt, time_constant=_between(dynamics, dt)
+        )
         gone = np.array([1.0, -(zz + rr), zz * rr - zr * rz])
         return np.array([zn, zl - rr * zn + zr * rn, zr * rl - rr * zl]), gone
 
@@ -217,7 +226,8 @@ def ringing(grids: Sequence[GriddedRecording], dynamics: RigDynamics) -> Late | 
 def sensing(grids: Sequence[GriddedRecording], dynamics: RigDynamics) -> Late | None:
     """Return what all of a response along `loop_path` goes through where its sensor lags: tau dz/dt = y - z.
 
-    As `sensor_lag` does on a device without body: between samples y goes straight. Each recording begins at rest.
+    As `sensor_lag` does on a device without body: between samples y goes straight, or as a held drive behind its lag does.
+    Each recording begins at rest.
 
     Parameters
     ----------
@@ -230,13 +240,22 @@ def sensing(grids: Sequence[GriddedRecording], dynamics: RigDynamics) -> Late | 
     """
     if not dynamics.behind:
         return None
+    sensor = effects()["sensor_lag"].hooks["advance"]
 
     def step(dt: float) -> tuple[Floats, Floats]:
-        left = np.exp(-dt / dynamics.behind)
-        mean = (1.0 - left) * dynamics.behind / dt
-        return np.array([1.0 - mean, mean - left]), np.array([1.0, -left])
+        # linear: what of its own value and what of the sample before is left
+        left, old = (
+            sensor(0.0, dt, _between(dynamics, dt), *last, dynamics.behind, 0.0)[0]
+            for last in ((1.0, 0.0), (0.0, 1.0))
+        )
+        return np.array([1.0 - left - old, old]), np.array([1.0, -left])
 
     return Late(_filtered(grids, step), whole=True)
+
+
+def _between(dynamics: RigDynamics, dt: float) -> float:
+    """Time constant with which a response moves on between two samples [s], inf where it goes straight."""
+    return max(dynamics.lag, AT_ONCE * dt) if dynamics.held else math.inf
 
 
 def _filtered(
@@ -323,21 +342,25 @@ def choose_dynamics(
         if first.score > tried(simple, coarse).score + len(values) * np.log(_SEEN):
             return found
 
-        def of(vector: Floats) -> RigDynamics:
+        def of(vector: Floats, held: bool) -> RigDynamics:
             f, z, lag = np.exp(vector)
             return replace(
                 first,
+                held=held,
                 frequency=float(min(f, 1.0 / (FASTEST * dt))),
                 damping=float(np.clip(z, *DAMPED)),
                 lag=float(np.clip(lag, _LEAST_LAG * dt, LAGS[-1] * dt)),
             )
 
-        start = np.log([first.frequency, first.damping, first.lag])
-        least = minimize(
-            lambda vector: tried(of(vector)).score, start, method="Nelder-Mead",
-            options={"maxfev": _MODE_STEPS, "initial_simplex": start + np.diag([0.0, 0.1, 0.5, -0.7])[:, 1:]},
-        )  # fmt: skip
-        return tried(of(least.x))
+        def sought(held: bool) -> RigDynamics:
+            start = np.log([first.frequency, first.damping, first.lag])
+            least = minimize(
+                lambda vector: tried(of(vector, held)).score, start, method="Nelder-Mead",
+                options={"maxfev": _MODE_STEPS, "initial_simplex": start + np.diag([0.0, 0.1, 0.5, -0.7])[:, 1:]},
+            )  # fmt: skip
+            return tried(of(least.x, held))
+
+        return best(sought(False), [sought(True)])
 
     def best(simple: RigDynamics, others: Sequence[RigDynamics], margin: float = _MARGIN) -> RigDynamics:
         better, since = simple, 0

@@ -61,6 +61,7 @@ _STEPS = 40
 _ROUNDS = 2
 _RELAXING = ("", PLAYS, AUTO)
 """Choices of a law that leave plays, the only ones that are fitted behind a relaxation."""
+_HELD = ", given a drive that is held over each sample (driver.held)"
 _BOUNDED = ("", AUTO, "bounded_plays")
 """Choices of a law that leave bounded plays, the only ones that a lag of the sensor is sought with."""
 LAG_OFF = 0.02
@@ -142,7 +143,7 @@ def fit_rig(
     if dynamics.frequency:
         notes.append(
             f"{device.names[TIP_DEFLECTION]} rings at {dynamics.frequency:.4g} Hz with a damping ratio of {dynamics.damping:.2g} "
-            "(cantilever_resonance in the model)"
+            "(cantilever_resonance in the model)" + _HELD * dynamics.held
         )
     if dynamics.relaxation:
         notes.append(
@@ -152,7 +153,7 @@ def fit_rig(
     if dynamics.behind:
         notes.append(
             f"{device.names[roles[0]]} follows what has hysteresis with a time constant of {dynamics.behind:.3g} s "
-            "(sensor_lag in the model)"
+            "(sensor_lag in the model)" + _HELD * dynamics.held
         )
     laws: dict[str, Law] = {}
     sensors: dict[str, SensorModel] = {}

@@ -130,6 +130,8 @@ def lag_scalars(dynamics: RigDynamics) -> dict[str, float]:
     dynamics : chosen
     """
     scalars = {"driver.dead_time": dynamics.delay}
+    if dynamics.held:
+        scalars["driver.held"] = 1.0
     if dynamics.lag:
         scalars["thermal.time_constant"] = dynamics.lag
     if dynamics.slow_share:

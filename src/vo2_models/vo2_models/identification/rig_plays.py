@@ -112,6 +112,9 @@ def dynamics_of_plays(
         # loops are narrow: the two lags in the other order are nearly as good, and a search does not come from there
         turned = replace(first[1], lag=first[1].behind, behind=first[1].lag)
         other = min(first, sought(turned, ("lag", "behind"), form), key=lambda one: one[0])
+        held = replace(other[1], held=True)
+        if fitted(held, (form,)).error < other[0]:
+            other = min(other, sought(held, ("lag", "behind"), form), key=lambda one: one[0])
         if other[0] < _BETTER * error:
             error, dynamics = other
     own = bounded_loop(loop_path(grids, device, dynamics), values, fold, behind_all(grids, dynamics))
