@@ -169,7 +169,7 @@ def test_a_drive_that_is_held_is_told_where_a_fast_mode_shows_it():
     def levels(seed):
         return np.repeat(np.random.default_rng(seed).uniform(*VOLTS, 25), 60)
 
-    drive, later = np.concatenate([_ramps(1, 2500), levels(6)]), levels(7)
+    drive, later = np.concatenate([_ramps(1, 1000), levels(6)]), levels(7)
     model = fit_model([_recording(drive, measured(drive, 11), dt)], _device().key)[0].model
     again = type(model).from_parameters(model.to_parameters())
     assert again.scalars["driver.held"] == 1.0
