@@ -345,6 +345,20 @@ def test_reference_follows_measurement_stamps_and_starts_again_when_set_anew():
         )
 
 
+def test_a_reference_for_a_device_without_a_tip_response_begins(tmp_path):
+    device = tmp_path / "film.yaml"
+    device.write_text(
+        "schema: vo2-device/1\nid: film\nbody: {kind: none}\nsampling: {period: 1.0e-3}\n"
+        "drive: {channel: heater_current, unit: A, limits: [0.0, 1.0e-2], operating: [0.0, 1.0e-2]}\n"
+        "responses:\n  film_resistance: {unit: ohm, range: [1.0e2, 1.0e5]}\n"
+    )
+    with controller(f"preset:={device}", "signal:=none") as rig:
+        node = rig.add(ReferenceNode)
+        node._table.set({"signal": "csv"})
+        rig.say("/vo2/measurement", 1_000 * MS, {"heater_current": 0.0})
+        rig.until(lambda: "csv.file: found no name" in rig.status("reference: signal")[0])
+
+
 @pytest.mark.parametrize(
     ("values", "reason"),
     [
