@@ -82,7 +82,9 @@ class SensorModel:
     colour : (p,) autoregressive coefficients of the noise, empty for white
     residual : root mean square of the fit's residual (resistance: in log10 ohm), noise included
     misfit : the same on parts of the calibration that the fit was not given; 0 where that was not tried
-    residual_colour : (q,) autoregressive coefficients of the residual
+    residual_colour : (q,) autoregressive coefficients of the residual, scaled where it is uneven
+    misfit_flat, misfit_steep : of the misfit where the response is flat, and more per variation of it [1], see
+        `identification.steepness`; 0 where one figure holds everywhere
     """
 
     noise: float = 0.0
@@ -90,6 +92,8 @@ class SensorModel:
     residual: float = 0.0
     misfit: float = 0.0
     residual_colour: tuple[float, ...] = ()
+    misfit_flat: float = 0.0
+    misfit_steep: float = 0.0
 
 
 def _scalar_parameters() -> tuple[Parameter, ...]:
@@ -116,6 +120,8 @@ def _sensor_parameters() -> tuple[Parameter, ...]:
                 f"{head}.residual_colour", [], "1", f"autoregressive coefficients of the residual of {channel}",
                 kind="float_array",
             ),
+            Parameter(f"{head}.misfit_flat", 0.0, spread, f"misfit in {channel} where it is flat; 0 for as elsewhere", 0.0),
+            Parameter(f"{head}.misfit_steep", 0.0, "1", f"more of it per variation of {channel}", 0.0),
         ]  # fmt: skip
     return tuple(found)
 
@@ -288,6 +294,11 @@ class DeviceModel:
             head = f"model.sensors.{channel}"
             flat |= {f"{head}.noise": sensor.noise, f"{head}.residual": sensor.residual}
             flat |= {f"{head}.misfit": sensor.misfit} if sensor.misfit else {}
+            if sensor.misfit_flat:
+                flat |= {
+                    f"{head}.misfit_flat": sensor.misfit_flat,
+                    f"{head}.misfit_steep": sensor.misfit_steep,
+                }
             flat |= {
                 f"{head}.colour": list(sensor.colour),
                 f"{head}.residual_colour": list(sensor.residual_colour),

@@ -199,7 +199,10 @@ def _refine_noise_model(
         ):  # a reading that follows the command to its noise is of the same moments
             parts = tuple(replace(part, read_late=False) for part in problem.parts)
         known = noise[channel]
-        plain = [problem.in_its_unit(row, remaining) for row in rows]
+        plain = [
+            problem.in_its_unit(row, remaining) / problem.parts[row.part].uneven.get(channel, 1.0)
+            for row in rows
+        ]
         found = fit_noise(
             np.concatenate(plain), np.concatenate([problem.weight[row.where] > 0 for row in rows])
         )

@@ -19,6 +19,7 @@ from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of
 from vo2_models.identification.digest import CalibrationDigest
 from vo2_models.identification.enrichment import LOCAL, Correction, EnrichmentBasis
+from vo2_models.identification.steepness import unevenness
 from vo2_models.numerics.parallel import parallel_map
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
@@ -191,7 +192,8 @@ def _loop_shape(nominal: Nominal, channel: str, chosen: LoopShape | None) -> Loo
     if digest is None:
         return _prior_shape(nominal, channel, basis)
     wide = replace(basis, local=LOCAL)
-    evidence = _Evidence(digest, nominal.noise[channel], channel, wide, nominal.span[channel])
+    size = _size_along(nominal, channel, digest.temperature)
+    evidence = _Evidence(digest, nominal.noise[channel], channel, wide, nominal.span[channel], size)
     if chosen is not None:
         return evidence.shape(evidence.of(chosen.kind, chosen.basis))
     if not nominal.model.description.has_body:
@@ -253,7 +255,13 @@ class _Evidence:
     """
 
     def __init__(
-        self, digest: CalibrationDigest, noise: NoiseModel, channel: str, basis: EnrichmentBasis, span: float
+        self,
+        digest: CalibrationDigest,
+        noise: NoiseModel,
+        channel: str,
+        basis: EnrichmentBasis,
+        span: float,
+        size: Floats,
     ) -> None:
         place = 0 if channel == RESISTANCE else 1
         target = digest.log_resistance if channel == RESISTANCE else digest.deflection
@@ -262,6 +270,8 @@ class _Evidence:
         self.digest, self.noise, self.basis, self.span = digest, noise, basis, span
         self._every = np.column_stack([digest.features(basis, span=span), target, *lags])
         self._covariance = _block_covariance(noise, digest.count)
+        for lag, row in enumerate(self._covariance):
+            row[: size.size - lag] *= size[: size.size - lag] * size[lag:]
         self._covariance[0, digest.count <= 0.0] = 1e8 * noise.level**2
         self._middle = 0.5 * (digest.temperature[1:] + digest.temperature[:-1])
         low, high = basis.centre_degc
@@ -381,6 +391,20 @@ def _left_out_each(columns: Floats, target: Floats) -> Iterator[tuple[slice, flo
         root = cho_factor(spread, lower=True)
         chi_square = float(left @ cho_solve(root, left, check_finite=False))
         yield piece, chi_square, 2.0 * float(np.sum(np.log(np.diag(root[0]))))
+
+
+def _size_along(nominal: Nominal, channel: str, ends: Floats) -> Floats:
+    """Size (n,) of the noise of blocks over its level, from the ends (n + 1,) of the blocks: it may be uneven."""
+    model = nominal.model
+    sensor = model.sensors.get(channel)
+    if sensor is None or not sensor.misfit_flat:
+        return np.ones(ends.size - 1)
+    path = np.empty(2 * ends.size - 1)
+    path[::2] = ends
+    path[1::2] = 0.5 * (ends[1:] + ends[:-1])
+    law = model.resistance if channel == RESISTANCE else model.deflection
+    along = law.run(path, law.initial_memory())
+    return unevenness(model.description, sensor, path, along)[1::2]
 
 
 def _own_misfit(nominal: Nominal, channel: str, span: float) -> float:

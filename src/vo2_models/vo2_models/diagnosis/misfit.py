@@ -13,7 +13,7 @@ Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, appendix 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,12 +121,14 @@ class Whitening:
     weight : (n,) what divides the noise's innovations; 0 where a sample is missing
     slope : (n,) size of the misfit in weighed innovations of the noise; empty for none
     decay : (n,) what is left of the misfit after the way from the sample before; empty for none
+    size : (n,) of the noise over its level, where it is not the same everywhere; empty for one size
     """
 
     noise: NoiseModel
     weight: Floats
     slope: Floats
     decay: Floats
+    size: Floats = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def along(
@@ -140,6 +142,8 @@ class Whitening:
 
     def __call__(self, columns: Floats) -> Floats:
         """Whiten (n,) or (n, p) in the channel's unit."""
+        if self.size.size:
+            columns = columns / (self.size if columns.ndim == 1 else self.size[:, None])
         plain = self.noise.whiten(columns)
         if plain.ndim == 1:
             plain *= self.weight
@@ -162,4 +166,5 @@ class Whitening:
         if self.slope.size:
             plain = np.empty(innovation.size)
             _undone(np.ascontiguousarray(innovation), self.slope, self.decay, self._known, plain)
-        return self.noise.color(plain / np.where(self.weight > 0.0, self.weight, 1.0))
+        values = self.noise.color(plain / np.where(self.weight > 0.0, self.weight, 1.0))
+        return values * self.size if self.size.size else values

@@ -175,7 +175,9 @@ class Nominal:
             if sensor and sensor.residual > 0.0 and not has_body:
                 # the law of such a device misses it by far more than its sensor's noise: that is what it is judged by
                 shape = NoiseModel(1.0, sensor.residual_colour)
-                noise[channel] = shape.scaled(sensor.residual / shape.level)
+                # where it is known how the misfit is distributed, that of parts that were not given is known too
+                left = sensor.misfit if sensor.misfit_flat else sensor.residual
+                noise[channel] = shape.scaled(left / shape.level)
                 continue
             level = model.sensors[channel].noise if channel in model.sensors else 0.0
             level = level or preset(model.device).noise.get(channel, 0.0)

@@ -66,6 +66,7 @@ class Part:
     read_late : whether a current that is read back may stand for any moment of its sample; False once it shows for which
     evident : id of an effect and channel -> its parameters, where the values show them by themselves
     flat : id -> channel -> (n,) samples that say no more than that the true value is beyond; they do not count
+    uneven : channel -> (n,) size of the noise over its level, where the law misses steep places by more than flat ones
     """
 
     name: str
@@ -81,6 +82,7 @@ class Part:
     read_late: bool = True
     evident: Mapping[tuple[str, str], Mapping[str, float]] = field(default_factory=dict)
     flat: Mapping[str, Mapping[str, NDArray[np.bool_]]] = field(default_factory=dict)
+    uneven: Mapping[str, Floats] = field(default_factory=dict)
 
     def comb_level(self, channel: str) -> Floats | float:
         """Standard deviation that a coarse converter adds, in judged units: step / sqrt(12)."""

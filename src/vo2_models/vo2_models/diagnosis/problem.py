@@ -370,7 +370,8 @@ def linearise_problem(
         misfit, inside = (
             (shape.misfit, shape.inside(path)) if shape else (NO_MISFIT, np.zeros(path.size, bool))
         )
-        whitening.append(Whitening.along(path, noise, weight[row.where], misfit, inside))
+        along = Whitening.along(path, noise, weight[row.where], misfit, inside)
+        whitening.append(replace(along, size=part.uneven.get(row.channel, along.size)))
         residual[row.where] = whitening[-1](np.where(counts, measured - predicted, 0.0))
     kept = _loop_columns(shapes, rows, responses, corrected, whitening, loops or {}, refits=refits)
     blocks = _whitened(kept, rows, parts, corrected, effects or {}, whitening)

@@ -28,6 +28,7 @@ from vo2_models.diagnosis.nuisance import (
 )
 from vo2_models.diagnosis.part import Part, prepare
 from vo2_models.diagnosis.progress import Clock
+from vo2_models.identification.steepness import unevenness
 from vo2_models.recording import HEATER_CURRENT, Recording, aligned
 
 __all__ = ["Reading", "read"]
@@ -127,6 +128,7 @@ def read(
     parts, stamps = _restamped(parts, corrected, limits)
     findings += stamps
     started = [_detect_initial_state(part, corrected) for part in parts]
+    started = [(_with_unevenness(part, response, nominal), response) for part, response in started]
     started, alone = _without_outliers(started)
     findings += alone
     check_consistency(started, nominal, calibrations)
@@ -239,6 +241,21 @@ def _detect_initial_state(part: Part, nominal: Nominal) -> tuple[Part, Response]
     if misses[1] < 0.2 * misses[0] - 100:
         return replace(part, settled=True), warm
     return part, cold
+
+
+def _with_unevenness(part: Part, response: Response, nominal: Nominal) -> Part:
+    """The part with the sizes of what the law misses along its response."""
+    model = nominal.model
+    known = {
+        c: model.sensors[c] for c in part.channels if c in model.sensors and model.sensors[c].misfit_flat
+    }
+    return replace(
+        part,
+        uneven={
+            c: unevenness(model.description, sensor, response.temperature, response.channels[c])
+            for c, sensor in known.items()
+        },
+    )
 
 
 def _without_outliers(

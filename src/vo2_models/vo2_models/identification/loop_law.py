@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
@@ -28,6 +28,8 @@ __all__ = [
     "better_of",
     "fit_loop_law",
     "folds_of_recordings",
+    "held_out_residual",
+    "root_mean_square",
     "with_law",
 ]
 
@@ -53,6 +55,7 @@ class LoopLaw:
     residual : (n,) measured minus law, NaN where there is no value
     words : what it is made of
     uncertainty : name of an array of the law -> standard deviations
+    held_out : (n,) as `residual`, of fits without each part, NaN where no part was held out; None where they are not kept
     """
 
     law: Law
@@ -60,6 +63,7 @@ class LoopLaw:
     residual: Floats = field(repr=False)
     words: str
     uncertainty: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    held_out: Floats | None = field(default=None, repr=False)
 
 
 def folds_of_recordings(drives: Sequence[Floats], fold: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -114,7 +118,7 @@ def fit_loop_law(name: str, path: Floats, values: Floats, fold: NDArray[np.int64
     good = np.isfinite(values)
     if name == "preisach":
         found = choose_preisach(path, values, fold)
-        return LoopLaw(found.law, found.misfit, found.residual, found.words)
+        return LoopLaw(found.law, found.misfit, found.residual, found.words, held_out=found.held_out)
     inside = np.maximum(path, path[good].min())  # what comes before a recording lies far below
     filled = np.where(good, values, 0.0)
     if name == "cs":
@@ -128,13 +132,33 @@ def fit_loop_law(name: str, path: Floats, values: Floats, fold: NDArray[np.int64
         law, _ = FITTED[name](inside, filled, fold, measured)
         return law, np.where(good, values - law.run(inside), np.nan)
 
-    squares, count = 0.0, 0
+    held_out = held_out_residual(lambda measured: residual(measured)[1], good, fold)
+    law, left = residual(good)
+    return LoopLaw(law, root_mean_square(held_out), left, f"law {name}", held_out=held_out)
+
+
+def held_out_residual(
+    residual: Callable[[NDArray[np.bool_]], Floats], good: NDArray[np.bool_], fold: NDArray[np.int64]
+) -> Floats:
+    """Return the residual (n,) of each part of a fit without it, NaN where nothing was held out.
+
+    Parameters
+    ----------
+    residual : of a fit to some samples (n,)
+    good : (n,) samples that hold a value
+    fold : (n,) part that each sample is held out with, -1 for none
+    """
+    out = np.full(good.size, np.nan)
     for part in np.unique(fold[good & (fold >= 0)]):
         held = good & (fold == part)
-        squares += float(np.sum(residual(good & ~held)[1][held] ** 2))
-        count += int(np.count_nonzero(held))
-    law, left = residual(good)
-    return LoopLaw(law, float(np.sqrt(squares / count)) if count else float("nan"), left, f"law {name}")
+        out[held] = residual(good & ~held)[held]
+    return out
+
+
+def root_mean_square(values: Floats) -> float:
+    """Return that of the values (n,) that are there; NaN where none is."""
+    there = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(there**2))) if there.size else float("nan")
 
 
 def with_law(result: FitResult, name: str) -> FitResult:

@@ -40,12 +40,14 @@ class PreisachChoice:
     misfit : root mean square of the residual on held-out parts
     residual : (n,) measured minus law, NaN where there is no value
     words : what it is made of
+    held_out : (n,) as `residual`, of fits without each part, NaN where no sample was held out
     """
 
     law: PreisachOperator
     misfit: float
     residual: Floats = field(repr=False)
     words: str
+    held_out: Floats = field(repr=False)
 
 
 def adapted_walls(path: Floats, values: Floats, level: int, share: float) -> Floats:
@@ -78,6 +80,7 @@ class _Trial:
     share: float
     strength: float
     nonnegative: bool
+    held_out: Floats
 
 
 def choose_preisach(path: Floats, values: Floats, fold: NDArray[np.int64]) -> PreisachChoice:
@@ -110,16 +113,16 @@ def choose_preisach(path: Floats, values: Floats, fold: NDArray[np.int64]) -> Pr
 
     def tried(level: int, share: float, nonnegative: bool = True) -> _Trial:
         problem = SmoothProblem.of(inside, filled, walls(level, share), used, "triangle", None)
-        best, worse = _Trial(np.inf, level, share, _STRENGTHS[0], nonnegative), 0
+        best, worse = _Trial(np.inf, level, share, _STRENGTHS[0], nonnegative, np.zeros(0)), 0
         for strength in _STRENGTHS:
-            squares = 0.0
+            left = np.full(part.size, np.nan)
             for k in np.unique(part[part >= 0]):
                 masses, constant = problem.solve(strength, part != k, nonnegative)
-                squares += float(np.sum(problem.residual(masses, constant)[part == k] ** 2))
-            error = float(np.sqrt(squares / np.count_nonzero(part >= 0)))
+                left[part == k] = problem.residual(masses, constant)[part == k]
+            error = float(np.sqrt(np.nanmean(left**2)))
             worse = 0 if error < best.error else worse + 1
             if error < best.error:
-                best = _Trial(error, level, share, strength, nonnegative)
+                best = _Trial(error, level, share, strength, nonnegative, left)
             if worse == _WORSE:
                 break
         return best
@@ -145,4 +148,7 @@ def choose_preisach(path: Floats, values: Floats, fold: NDArray[np.int64]) -> Pr
     placed = "closer where the response changes" if best.share else "evenly spaced"
     sign = "" if best.nonnegative else ", of both signs"
     words = f"Preisach law of {best.level} levels{sign}, {placed}"
-    return PreisachChoice(problem.operator(masses, constant, grid, "triangle"), best.error, residual, words)
+    held_out = np.full(path.size, np.nan)
+    held_out[rows] = best.held_out
+    law = problem.operator(masses, constant, grid, "triangle")
+    return PreisachChoice(law, best.error, residual, words, held_out)

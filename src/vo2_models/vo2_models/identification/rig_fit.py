@@ -15,7 +15,7 @@ from vo2_models.diagnosis.noise import LONGEST
 from vo2_models.hysteresis.law import Law
 from vo2_models.hysteresis.law_fit import FITTED
 from vo2_models.hysteresis.play_bank import PlayBank
-from vo2_models.identification.bank_fit import BankFit, BankShape, Late, evaluate, fit_bank
+from vo2_models.identification.bank_fit import BankFit, Late, evaluate, fit_bank
 from vo2_models.identification.bank_uncertainty import bank_uncertainty
 from vo2_models.identification.completion import noise_of_recordings
 from vo2_models.identification.coverage import coverage_of, misfit_note
@@ -29,6 +29,7 @@ from vo2_models.identification.loop_law import (
     better_of,
     fit_loop_law,
     folds_of_recordings,
+    root_mean_square,
 )
 from vo2_models.identification.loops_fit import SECTIONS, film_path
 from vo2_models.identification.noise import residual_colour
@@ -48,6 +49,7 @@ from vo2_models.identification.rig_dynamics import (
 )
 from vo2_models.identification.rig_heat import RigHeat, choose_heat, free_run, heat_path, heat_scalars
 from vo2_models.identification.rig_plays import behind_all, bounded_loop, dynamics_of_plays
+from vo2_models.identification.steepness import steep_misfit, travel_of, unevenness, variation
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
 
 __all__ = ["fit_rig"]
@@ -173,13 +175,18 @@ def fit_rig(
         )
         residuals[role] = run.residual
         noise = device.noise.get(role, noise_of_recordings(recordings, role))
-        sensors[role] = SensorModel(
-            noise=noise,
-            residual=float(np.sqrt(np.nanmean(run.residual**2))),
-            misfit=run.misfit,
-            residual_colour=residual_colour(run.residual, LONGEST),
-        )
         level = noise / np.log(10.0) if role == RESISTANCE else noise
+        sensor = SensorModel(
+            noise=noise, residual=float(np.sqrt(np.nanmean(run.residual**2))), misfit=run.misfit
+        )
+        size = np.ones(path.size)
+        if not model.heats and fit.held_out is not None:
+            seen = np.flatnonzero(np.isfinite(run.residual))
+            response = np.interp(np.arange(path.size), seen, (values[role] - run.residual)[seen])
+            flat, steep = steep_misfit(fit.held_out, variation(path, response, travel_of(device)), level)
+            sensor = replace(sensor, misfit_flat=flat, misfit_steep=steep)
+            size = unevenness(device, sensor, path, response)
+        sensors[role] = replace(sensor, residual_colour=residual_colour(run.residual / size, LONGEST))
         unit = "log10 ohm" if role == RESISTANCE else device.units[role]
         if note := misfit_note(grids, device, channel, unit, run.residual, values[role], level):
             notes.append(note)
@@ -335,20 +342,21 @@ def _plays(path: Floats, values: Floats, degree: int, fold: NDArray[np.int64], l
     judged = parts if count < _SHORT or len(parts) < FOLDS else parts[-1:]
     seen = np.isin(fold, judged) & np.isfinite(convex.held_out)
     reference = least = float(np.sqrt(np.mean(convex.held_out[seen] ** 2)))
-    chosen: BankShape | None = None
+    chosen, held_out = None, convex.held_out
     for plays in _REFINED if count <= _LONGEST else ():
         start = convex.shape(plays, degree=3)
         if 0.7 * count < 2 * start.vector.size:
             continue
-        gaps = []
+        gaps = np.full(values.size, np.nan)
         for part in judged:
             moved = fit_bank(
                 path, np.where(fold == part, np.nan, values), start, iterations=_STEPS, late=late
             )
-            gaps.append(moved.residual_of(path, values, late)[(fold == part) & seen])
-        error = float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)))
+            mine = (fold == part) & seen
+            gaps[mine] = moved.residual_of(path, values, late)[mine]
+        error = root_mean_square(gaps)
         if error < MARGIN * least:
-            least, chosen = error, start
+            least, chosen, held_out = error, start, gaps
     misfit = convex.misfit * least / reference
     if chosen is not None:
         fit = fit_bank(path, values, chosen, iterations=_STEPS, late=late)
@@ -358,4 +366,4 @@ def _plays(path: Floats, values: Floats, degree: int, fold: NDArray[np.int64], l
         output, jacobian = evaluate(shape, path, late)
         fit = BankFit(shape, values - output, jacobian, 0)
         words = f"{shape.centre.size} plays on a grid and a polynomial of degree {degree}"
-    return LoopLaw(fit.shape.bank(), misfit, fit.residual, words, bank_uncertainty(fit))
+    return LoopLaw(fit.shape.bank(), misfit, fit.residual, words, bank_uncertainty(fit), held_out)

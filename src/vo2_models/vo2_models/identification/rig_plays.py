@@ -17,7 +17,7 @@ from vo2_models.device.description import DeviceDescription
 from vo2_models.hysteresis.laws.bounded_plays import FORMS, BoundedFit, fit_bounded_plays
 from vo2_models.identification.bank_fit import Late
 from vo2_models.identification.grid import GriddedRecording
-from vo2_models.identification.loop_law import LoopLaw
+from vo2_models.identification.loop_law import LoopLaw, held_out_residual, root_mean_square
 from vo2_models.identification.rig_dynamics import DAMPED, FASTEST, RigDynamics, loop_path, ringing, sensing
 
 __all__ = ["behind_all", "bounded_loop", "dynamics_of_plays"]
@@ -149,14 +149,10 @@ def bounded_loop(path: Floats, values: Floats, fold: NDArray[np.int64], late: La
         output = fit.law.run(_inside(path, good))
         return fit, values - (late.through(output[:, None])[:, 0] if late else output)
 
-    squares, count = 0.0, 0
-    for part in np.unique(fold[good & (fold >= 0)]):
-        held = good & (fold == part)
-        squares += float(np.sum(left(good & ~held)[1][held] ** 2))
-        count += int(np.count_nonzero(held))
+    held_out = held_out_residual(lambda measured: left(measured)[1], good, fold)
     fit, residual = left(good)
-    misfit = float(np.sqrt(squares / count)) if count else float("nan")
-    return LoopLaw(fit.law, misfit, residual, f"law {fit.law.name} of {np.size(fit.law.radii)} plays")
+    words = f"law {fit.law.name} of {np.size(fit.law.radii)} plays"
+    return LoopLaw(fit.law, root_mean_square(held_out), residual, words, held_out=held_out)
 
 
 def _fit(
