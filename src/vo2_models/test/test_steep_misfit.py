@@ -7,10 +7,17 @@ import pytest
 from vo2_models.device import DeviceModel
 from vo2_models.device.description import described
 from vo2_models.device.model import SensorModel
+from vo2_models.diagnosis.limits import Limits
+from vo2_models.diagnosis.locate import Located, locate
 from vo2_models.diagnosis.misfit import NO_MISFIT, Whitening
 from vo2_models.diagnosis.noise import NoiseModel
+from vo2_models.diagnosis.nominal import Nominal
+from vo2_models.diagnosis.pipeline import study
+from vo2_models.diagnosis.progress import Clock
+from vo2_models.diagnosis.read import read
+from vo2_models.identification.model_fit import fit_model
 from vo2_models.identification.steepness import steep_misfit, unevenness, variation
-from vo2_models.recording import TIP_DEFLECTION
+from vo2_models.recording import HEATER_CURRENT, TIP_DEFLECTION, Recording
 
 DEVICE = described(
     {
@@ -21,6 +28,48 @@ DEVICE = described(
     },
     "stack",
 )
+
+
+def recorded(seed: int, change: float = 0.0) -> Recording:
+    """Loops whose place wanders from branch to branch, which no law has; `change` of the span comes about the middle."""
+    rng = np.random.default_rng(seed)
+    count = 1500
+    share = np.arange(count) / count
+    size = np.interp(share, np.linspace(0.0, 1.0, 9), 28.0 * rng.permutation(np.linspace(0.5, 1.0, 9)))
+    size[: count // 6] = 28.0
+    volts = 30.0 - size * np.cos(2 * np.pi * 12 * share)
+    place = 2.0 * rng.normal(size=25)[(24 * share).astype(int)]
+    play, felt = volts[0], np.empty(count)
+    for k, u in enumerate(volts):
+        play = felt[k] = min(max(play, u - 5.0), u + 5.0)
+    stroke = np.tanh((felt + place - 30.0) / 4.0) + 2.0 * change * np.interp(share, [0.45, 0.55], [0.0, 1.0])
+    stroke += 2e-3 * rng.standard_normal(count)
+    return Recording(0.1 * np.arange(count), {HEATER_CURRENT: volts, TIP_DEFLECTION: 1e-5 * stroke}, "stack")
+
+
+def located(recording: Recording, model: dict) -> Located:
+    limits, clock = Limits(), Clock(lambda share, text: None, 700)
+    nominal = Nominal.from_parameters(model)
+    return locate(
+        read([nominal.model.description.understood(recording)], nominal, (), limits, clock), limits, clock
+    )
+
+
+def test_a_change_on_flat_stretches_shows_beside_a_misfit_of_the_steep_ones():
+    model = fit_model([recorded(1)], DEVICE.key)[1]
+    sensor = f"model.sensors.{TIP_DEFLECTION}"
+    assert model[f"{sensor}.misfit_flat"] < 0.1 * model[f"{sensor}.misfit"]
+    even = {name: value for name, value in model.items() if "misfit_" not in name}
+
+    unchanged = study([recorded(2)], model)
+    assert unchanged.located.nominal.uneven and unchanged.decision.verdict == "agrees"
+    seen, hidden = (located(recorded(2, 0.05), one) for one in (model, even))
+    assert seen.nominal.uneven and not hidden.nominal.uneven
+    # in powers of noise and misfit, on top of what the unchanged device has
+    assert seen.total_excess > unchanged.located.total_excess + 1.0
+    assert hidden.total_excess < 0.3
+    # what is large may have moved what is steep
+    assert not located(recorded(2, 0.6), model).nominal.uneven
 
 
 def test_the_variation_is_what_the_response_goes_up_and_down_while_the_path_travels_the_window():
@@ -83,6 +132,11 @@ def test_sizes_are_in_the_model_file_only_where_there_are_two():
     sensor = SensorModel(noise=0.01, residual=0.2, misfit=0.25)
     plain = DeviceModel(DEVICE.key, sensors={TIP_DEFLECTION: sensor})
     assert not any("misfit_" in name for name in plain.to_parameters())
-    two = replace(plain, sensors={TIP_DEFLECTION: replace(sensor, misfit_flat=0.05, misfit_steep=0.4)})
+    two = replace(
+        plain,
+        sensors={
+            TIP_DEFLECTION: replace(sensor, misfit_flat=0.05, misfit_steep=0.4, misfit_colour=(0.5, -0.1))
+        },
+    )
     back = DeviceModel.from_parameters(two.to_parameters())
     assert back.sensors[TIP_DEFLECTION] == two.sensors[TIP_DEFLECTION]

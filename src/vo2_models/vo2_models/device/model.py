@@ -82,9 +82,10 @@ class SensorModel:
     colour : (p,) autoregressive coefficients of the noise, empty for white
     residual : root mean square of the fit's residual (resistance: in log10 ohm), noise included
     misfit : the same on parts of the calibration that the fit was not given; 0 where that was not tried
-    residual_colour : (q,) autoregressive coefficients of the residual, scaled where it is uneven
+    residual_colour : (q,) autoregressive coefficients of the residual
     misfit_flat, misfit_steep : of the misfit where the response is flat, and more per variation of it [1], see
         `identification.steepness`; 0 where one figure holds everywhere
+    misfit_colour : (q,) autoregressive coefficients of the residual over these sizes
     """
 
     noise: float = 0.0
@@ -94,6 +95,7 @@ class SensorModel:
     residual_colour: tuple[float, ...] = ()
     misfit_flat: float = 0.0
     misfit_steep: float = 0.0
+    misfit_colour: tuple[float, ...] = ()
 
 
 def _scalar_parameters() -> tuple[Parameter, ...]:
@@ -122,6 +124,10 @@ def _sensor_parameters() -> tuple[Parameter, ...]:
             ),
             Parameter(f"{head}.misfit_flat", 0.0, spread, f"misfit in {channel} where it is flat; 0 for as elsewhere", 0.0),
             Parameter(f"{head}.misfit_steep", 0.0, "1", f"more of it per variation of {channel}", 0.0),
+            Parameter(
+                f"{head}.misfit_colour", [], "1", f"autoregressive coefficients of the residual of {channel} over these sizes",
+                kind="float_array",
+            ),
         ]  # fmt: skip
     return tuple(found)
 
@@ -298,6 +304,7 @@ class DeviceModel:
                 flat |= {
                     f"{head}.misfit_flat": sensor.misfit_flat,
                     f"{head}.misfit_steep": sensor.misfit_steep,
+                    f"{head}.misfit_colour": list(sensor.misfit_colour),
                 }
             flat |= {
                 f"{head}.colour": list(sensor.colour),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vo2_models.diagnosis.adequacy import over_misfit
 from vo2_models.diagnosis.breakdown import Breakdown, breakdown
 from vo2_models.diagnosis.limits import Limits
-from vo2_models.diagnosis.loop_shape import loop_shapes
+from vo2_models.diagnosis.loop_shape import loop_shapes, open_shapes
 from vo2_models.diagnosis.misfit import NO_MISFIT
 from vo2_models.diagnosis.noise import fit_noise
 from vo2_models.diagnosis.nominal import Nominal
@@ -71,12 +71,26 @@ class Located:
 def locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
     """Build the problem, refit its nuisance parameters, and split what is left along every axis; return all of it.
 
+    Where a law misses steep places by more than flat ones, and the recording is not far beyond that, a sample is judged by what
+    its place is missed by. A large effect may move what is steep, so that beside it noise of one size stands.
+
     Parameters
     ----------
     reading : of the recordings
     limits : of the decisions
     clock : told what is being done
     """
+    even = replace(reading, parts=tuple(replace(part, uneven={}) for part in reading.parts))
+    located = _locate(even, limits, clock)
+    if not any(part.uneven for part in reading.parts) or not located.within_misfit(limits.unlike_misfit):
+        return located
+    nominal = reading.nominal.with_uneven_noise()
+    shapes = open_shapes(nominal) if reading.first_use else loop_shapes(nominal)
+    return _locate(replace(reading, nominal=nominal, shapes=shapes), limits, clock)
+
+
+def _locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
+    """As `locate`, with the noise that the reading has."""
     nominal = reading.nominal
     problem = linearise_problem(
         nominal,

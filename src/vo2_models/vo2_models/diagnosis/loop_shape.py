@@ -397,7 +397,7 @@ def _size_along(nominal: Nominal, channel: str, ends: Floats) -> Floats:
     """Size (n,) of the noise of blocks over its level, from the ends (n + 1,) of the blocks: it may be uneven."""
     model = nominal.model
     sensor = model.sensors.get(channel)
-    if sensor is None or not sensor.misfit_flat:
+    if sensor is None or not (nominal.uneven and sensor.misfit_flat):
         return np.ones(ends.size - 1)
     path = np.empty(2 * ends.size - 1)
     path[::2] = ends

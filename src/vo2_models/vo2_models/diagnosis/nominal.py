@@ -139,6 +139,7 @@ class Nominal:
     noise : channel -> noise in judged units; on a device without body level and colour of what its fit left of the
         calibration
     corrections : channel -> correction of the loop shape, from the digest (resistance and deflection)
+    uneven : whether a law's misfit is larger where the response is steep, see `with_uneven_noise`
     """
 
     model: DeviceModel
@@ -146,6 +147,7 @@ class Nominal:
     digest: CalibrationDigest | None
     noise: Mapping[str, NoiseModel]
     corrections: Mapping[str, Correction] = field(default_factory=dict)
+    uneven: bool = False
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, Value]) -> Nominal:
@@ -175,9 +177,7 @@ class Nominal:
             if sensor and sensor.residual > 0.0 and not has_body:
                 # the law of such a device misses it by far more than its sensor's noise: that is what it is judged by
                 shape = NoiseModel(1.0, sensor.residual_colour)
-                # where it is known how the misfit is distributed, that of parts that were not given is known too
-                left = sensor.misfit if sensor.misfit_flat else sensor.residual
-                noise[channel] = shape.scaled(left / shape.level)
+                noise[channel] = shape.scaled(sensor.residual / shape.level)
                 continue
             level = model.sensors[channel].noise if channel in model.sensors else 0.0
             level = level or preset(model.device).noise.get(channel, 0.0)
@@ -189,6 +189,15 @@ class Nominal:
     def load(cls, path: str | Path) -> Nominal:
         """Read a model file; raise a `ValueError` that names the file or the parameter."""
         return cls.from_parameters(load_model_parameters(path))
+
+    def with_uneven_noise(self) -> Nominal:
+        """The same with noise as the fit missed parts of the calibration that it was not given: more where they are steep."""
+        two = {
+            c: sensor for c, sensor in self.model.sensors.items() if sensor.misfit_flat and c in self.noise
+        }
+        shapes = {c: NoiseModel(1.0, sensor.misfit_colour) for c, sensor in two.items()}
+        noise = {c: shape.scaled(two[c].misfit / shape.level) for c, shape in shapes.items()}
+        return replace(self, noise={**self.noise, **noise}, uneven=True)
 
     @property
     def device(self) -> str:

@@ -135,10 +135,10 @@ def _residual_figure(study: Study) -> str:
             for plain, colour, alpha, name in bands:
                 low, high, middle = _envelope(time, plain * scale)
                 axis.fill_between(middle, low, high, color=colour, alpha=alpha, linewidth=0, label=name)
-            for sign, name in ((-2, "two standard deviations of the noise"), (2, "_")):
-                axis.axhline(
-                    sign * noise.level * scale, color=NOISE, linestyle="--", linewidth=0.8, label=name
-                )
+            size = part.uneven.get(row.channel, np.ones(part.size))
+            level, _, middle = _envelope(time, 2.0 * noise.level * scale * size)
+            for sign, name in ((-1, "two standard deviations of the noise"), (1, "_")):
+                axis.plot(middle, sign * level, color=NOISE, linestyle="--", linewidth=0.8, label=name)
             axis.set_ylabel(label)
         axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
         axes[-1].set_xlabel("time / s")
@@ -156,6 +156,14 @@ def _explained_residual(study: Study) -> Floats:
         return study.decision.final.apply_inverse_covariance(residual)
     left = study.located.problem.apply_inverse_covariance(study.located.problem.residual)
     return left - study.decision.unnamed.prediction if study.decision.unnamed is not None else left
+
+
+def _where_flat(study: Study, channel: str, level: float) -> str:
+    """What a level is where the response is flat, if the law misses steep places by more."""
+    sizes = [
+        float(part.uneven[channel].min()) for part in study.located.problem.parts if channel in part.uneven
+    ]
+    return f", {level * min(sizes):.3g} where it is flat" if sizes else ""
 
 
 def _envelope(time: Floats, values: Floats, pieces: int = 500) -> tuple[Floats, Floats, Floats]:
@@ -334,7 +342,7 @@ def _data(study: Study, diagnosis: Diagnosis) -> str:
     noise = [
         (
             labels[c][0],
-            f"{n.level:.3g}",
+            f"{n.level:.3g}" + _where_flat(study, c, n.level),
             JUDGED_UNIT[c] if c == RESISTANCE else device.units[c],
             ", ".join(f"{a:.2f}" for a in n.ar) or "none: white",
         )

@@ -177,16 +177,12 @@ def fit_rig(
         noise = device.noise.get(role, noise_of_recordings(recordings, role))
         level = noise / np.log(10.0) if role == RESISTANCE else noise
         sensor = SensorModel(
-            noise=noise, residual=float(np.sqrt(np.nanmean(run.residual**2))), misfit=run.misfit
+            noise=noise,
+            residual=float(np.sqrt(np.nanmean(run.residual**2))),
+            misfit=run.misfit,
+            residual_colour=residual_colour(run.residual, LONGEST),
         )
-        size = np.ones(path.size)
-        if not model.heats and fit.held_out is not None:
-            seen = np.flatnonzero(np.isfinite(run.residual))
-            response = np.interp(np.arange(path.size), seen, (values[role] - run.residual)[seen])
-            flat, steep = steep_misfit(fit.held_out, variation(path, response, travel_of(device)), level)
-            sensor = replace(sensor, misfit_flat=flat, misfit_steep=steep)
-            size = unevenness(device, sensor, path, response)
-        sensors[role] = replace(sensor, residual_colour=residual_colour(run.residual / size, LONGEST))
+        sensors[role] = sensor if model.heats else _uneven(device, sensor, path, values[role], fit, level)
         unit = "log10 ohm" if role == RESISTANCE else device.units[role]
         if note := misfit_note(grids, device, channel, unit, run.residual, values[role], level):
             notes.append(note)
@@ -202,6 +198,22 @@ def fit_rig(
         settled=not model.heats,
         notes=tuple(notes),
     )
+
+
+def _uneven(
+    device: DeviceDescription, sensor: SensorModel, path: Floats, values: Floats, fit: LoopLaw, noise: float
+) -> SensorModel:
+    """The sensor with two sizes of its misfit, where held-out parts show two."""
+    if fit.held_out is None:
+        return sensor
+    seen = np.flatnonzero(np.isfinite(fit.residual))
+    response = np.interp(np.arange(path.size), seen, (values - fit.residual)[seen])
+    flat, steep = steep_misfit(fit.held_out, variation(path, response, travel_of(device)), noise)
+    if not flat:
+        return sensor
+    two = replace(sensor, misfit_flat=flat, misfit_steep=steep)
+    left = fit.residual / unevenness(device, two, path, response)
+    return replace(two, misfit_colour=residual_colour(left, LONGEST))
 
 
 def _folds(grids: Sequence[GriddedRecording], values: Floats) -> NDArray[np.int64]:
