@@ -7,7 +7,7 @@ all on flat stretches. Its residual is then no series of one variance but
 
 with M_k the total variation of the response while the loop coordinate travels `TRAVEL` of its range about sample k. Both are
 those of highest likelihood over the held-out parts of the calibration; a is no less than the noise of the sensor.
-Weighted least squares with a variance function: Carroll and Ruppert, Transformation and Weighting in Regression, 1988.
+Regression with a variance function: M. Davidian, course ST 762, chapter 7, Detection and modeling of nonconstant variance.
 """
 
 from __future__ import annotations
