@@ -23,9 +23,10 @@ __all__ = ["TRAVEL", "steep_misfit", "travel_of", "unevenness", "variation"]
 
 Floats = NDArray[np.float64]
 TRAVEL = 0.03
-"""Window of the loop coordinate over which the response's variation is taken, as a share of its range."""
+"""Window of the loop coordinate over which the response's variation is taken, as a share of its range. Of 0.3, 1 and 3 per
+cent it had the highest likelihood on most of seven measured calibrations and three simulated ones that were looked at."""
 UNEVEN = 0.7
-"""Share of the residual up to which that of flat stretches is told apart from it."""
+"""Share of the misfit up to which that of flat stretches is told apart from it; the same calibrations lay at 0.14 to 0.53."""
 
 
 def travel_of(device: DeviceDescription) -> float:
