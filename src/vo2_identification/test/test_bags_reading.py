@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from vo2_identification.bags import BagError, read_bag, read_recording
 from vo2_identification.bags.joint_state import JointStates, encode
 from vo2_identification.bags.reading import commanded_current
+from vo2_models.device.description import described
 from vo2_models.recording import aligned, regular
 
 KINDS = [
@@ -200,6 +201,33 @@ def test_commands_of_samples_that_were_not_logged_are_kept(tmp_path):
     assert one_later.unread is not None
     np.testing.assert_allclose(one_later.unread[1], [13.0, 15.0, 17.0], atol=1e-9)
     assert recording.slice(0, 4).unread[0].size == 1
+
+
+def test_what_the_graph_recorded_is_read_for_a_device_with_names_of_its_own(tmp_path):
+    device = described(
+        {
+            "schema": "vo2-device/1",
+            "id": "stack",
+            "drive": {"channel": "drive_voltage", "unit": "V", "limits": [0.0, 60.0]},
+            "responses": {"extension": {"unit": "m"}},
+        },
+        "stack",
+    )
+    recordings = []
+    for name, drive, response in (
+        ("graph", "heater_current", "tip_deflection"),
+        ("own", "drive_voltage", "extension"),
+    ):
+        samples = []
+        for k in range(30):
+            stamp = k * 1_000_000
+            samples.append(Sample("/vo2/measurement", stamp, (drive, response), (1.0 * k, 1e-6 * k), "stack"))
+            samples.append(Sample("/vo2/command", stamp, (drive,), (1.0 * k,), "stack"))
+        recordings.append(read_recording(bag_by_rosbags(tmp_path / name, samples), device=device)[0])
+    for channel in ("heater_current", "tip_deflection", "commanded_current"):
+        for recording in recordings:
+            np.testing.assert_array_equal(recording[channel], recordings[1][channel])
+    np.testing.assert_array_equal(recordings[0]["commanded_current"][1:], np.arange(29.0))
 
 
 def test_another_namespace_is_found_and_said(tmp_path):

@@ -59,14 +59,14 @@ def read_recording(
     Parameters
     ----------
     path : bag directory (with or without metadata.yaml), or a single .mcap or .db3 file
-    device : whose channels are read and returned under the names of their roles; None for those of the contract
+    device : whose channels are read and returned under the names of their roles, which they may have already, as in what the
+        graph records; None for those of the contract
     namespace : where the topics are looked for first; else any namespace is taken, and reported
 
     Raises
     ------
     BagError : no bag, or no measurement in it.
     """
-    drive = HEATER_CURRENT if device is None else device.drive_channel
     wanted = KNOWN_CHANNELS if device is None else (*KNOWN_CHANNELS, *device.names.values())
     recordings, problems = read_bag(
         path, namespace=namespace, roles=("measurement", "command"), channels=wanted
@@ -79,8 +79,10 @@ def read_recording(
         )
     measurement = recordings["measurement"]
     if device is not None:
-        measurement = device.in_roles(measurement)
+        measurement = device.understood(measurement)
     command = recordings.get("command")
+    own = HEATER_CURRENT if device is None else device.drive_channel
+    drive = HEATER_CURRENT if command is not None and own not in command else own
     if command is None or drive not in command:
         return measurement, problems
     channels = dict(measurement.channels)

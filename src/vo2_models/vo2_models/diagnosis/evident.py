@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,9 @@ from vo2_models.diagnosis.nominal import Nominal, Response
 from vo2_models.diagnosis.part import Part
 from vo2_models.diagnosis.result import Location
 from vo2_models.effects import Effect, effects
+from vo2_models.recording import RESISTANCE
 
-__all__ = ["Evident", "evident_effects", "located_with"]
+__all__ = ["Evident", "evident_effects", "located_with", "without_lines"]
 
 SAME = 1.05
 """Steps of converters this far apart, as a ratio, are the same one's."""
@@ -36,6 +37,7 @@ class Evident:
     before, after : r.m.s. distance of recording and simulation at these samples without and with it, in the judged unit
     energy : of what it changes, in units of the noise power
     location : of these samples, its share not set
+    deviations : standard deviations of the parameters; empty where they are read as they were written
     """
 
     record: Effect
@@ -46,6 +48,7 @@ class Evident:
     after: float
     energy: float
     location: Location
+    deviations: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def effects(self) -> dict[str, dict[str, float | str]]:
@@ -100,6 +103,83 @@ def evident_effects(
                     _location(channel, part, acting, response.temperature[acting], nominal.device),
                 )
     return tuple(found.values())
+
+
+def without_lines(
+    started: Sequence[tuple[Part, Response]], nominal: Nominal, limits: Limits, *, first_use: bool
+) -> tuple[list[tuple[Part, Response]], tuple[Evident, ...], list[str]]:
+    """Take what is added to single channels at one frequency all the time out of recordings, and return what it was.
+
+    A line of the calibration is in its noise: only one that is more than that is new. What swings in several channels of a
+    recording, the drive that is read back among them, is none of a sensor's: it stays, with a sentence that says so.
+
+    Parameters
+    ----------
+    started : recordings with the response of the simulation
+    nominal : fitted simulation
+    limits : when it is coarser than noise
+    first_use : whether calibrations are among the recordings, so that it need not be new
+    """
+    judged, found, told = [], dict[str, Evident](), []
+    for part, response in started:
+        for record in (one for one in effects().values() if "line" in one.hooks):
+            seen = {
+                channel: line
+                for channel in part.channels
+                if (line := _line(record, channel, part, response, nominal)) is not None
+            }
+            for channel, (values, deviations) in seen.items():
+                key = f"{record.id}:{channel}"
+                if channel not in record.channels or key in nominal.model.effects:
+                    continue
+                given: dict[str, float | str] = {**values, "signal": channel}
+                with_it = nominal.respond(part.current, part.dt, effects={key: given}, settled=part.settled)
+                added = with_it.channels[channel] - response.channels[channel]
+                good, noise = part.valid[channel], nominal.noise[channel].level
+                if not _rms(added[good]) > noise * (1.0 / limits.coarse if first_use else limits.coarse):
+                    continue
+                apart = 2.0 / (part.size * part.dt)
+                if others := [
+                    c
+                    for c, (other, _) in seen.items()
+                    if c != channel and abs(other["frequency"] - values["frequency"]) < apart
+                ]:
+                    told.append(
+                        f"{part.name}: {channel} swings at {values['frequency']:.4g} Hz, and so does {', '.join(others)}: "
+                        "the drive, the room or the mounting, not one sensor"
+                    )
+                    continue
+                before = part.observed[channel] - response.channels[channel]
+                part = replace(part, observed={**part.observed, channel: part.observed[channel] - added})
+                found.setdefault(
+                    key,
+                    Evident(
+                        record, channel, values, 1.0, _rms(before[good]), _rms((before - added)[good]),
+                        float(np.sum(added[good] ** 2)) / noise**2,
+                        _location(channel, part, good, response.temperature[good], nominal.device),
+                        deviations,
+                    ),
+                )  # fmt: skip
+        judged.append((part, response))
+    return judged, tuple(found.values()), told
+
+
+def _line(
+    record: Effect, channel: str, part: Part, response: Response, nominal: Nominal
+) -> tuple[Mapping[str, float], Mapping[str, float]] | None:
+    """Parameters of what swings in a channel, and their deviations, see `effects.record.PLAIN`."""
+    if channel not in nominal.noise:
+        return None
+    level = nominal.noise[channel].level * part.uneven.get(channel, np.ones(part.size))
+    seen, simulated = part.observed[channel], response.channels[channel]
+    if channel == RESISTANCE:
+        seen, simulated = 10.0**seen, 10.0**simulated
+        level = np.log(10.0) * level * simulated
+    left = np.where(part.valid[channel], seen - simulated, np.nan)
+    found: tuple[Mapping[str, float], Mapping[str, float]] | None = record.hooks["line"](
+        left, level, simulated, part.dt
+    )
+    return found
 
 
 def _known(values: Mapping[str, float], channel: str, nominal: Nominal) -> bool:

@@ -181,7 +181,7 @@ def hypotheses(problem: LinearisedProblem, device: str, residual: Floats) -> lis
     measured = {row.channel for row in problem.rows}
     found = []
     for record in effects().values():
-        if not record.occurs_on(device):
+        if not record.occurs_on(device) or "line" in record.hooks:
             continue
         for signal in record.signals(device):
             if not measured & set(record.reaches(device, signal)):

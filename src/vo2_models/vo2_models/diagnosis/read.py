@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 from vo2_models.diagnosis.breakdown import one_loop
 from vo2_models.diagnosis.check import SHORTEST, Finding, Unusable, check_recording
 from vo2_models.diagnosis.consistency import check_consistency
-from vo2_models.diagnosis.evident import Evident, evident_effects
+from vo2_models.diagnosis.evident import Evident, evident_effects, without_lines
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.loop_shape import LoopShape, loop_shapes, open_shapes
 from vo2_models.diagnosis.noise import outliers
@@ -36,6 +36,8 @@ __all__ = ["Reading", "read"]
 Floats = NDArray[np.float64]
 STEP = 0.1
 """Step of a delay around its best, in sample periods."""
+DROPPED = 0.02
+"""Share of a channel's range by which the simulation is off 0 where a reading of exactly 0 is none."""
 EARLIEST = -3.0
 """Earliest answer before its command that is looked for, in sample periods."""
 ONE_LOOP = Finding(
@@ -133,6 +135,8 @@ def read(
     findings += alone
     check_consistency(started, nominal, calibrations)
     evident = evident_effects(started, corrected, limits, first_use=calibrations > 0)
+    started, lines, swinging = without_lines(started, corrected, limits, first_use=calibrations > 0)
+    findings += [Finding("swings", text) for text in swinging]
     parts, findings = _mask_after_gaps(started, nominal, findings)
     paths = [response.temperature for _, response in started]
     covered = coverage_of(paths) if calibrations else coverage(nominal)
@@ -142,8 +146,9 @@ def read(
         findings = [*findings, ONE_LOOP]
     constants = refitted_constants(nominal) if calibrations else constants_of(nominal)
     return Reading(
-        nominal, shapes, tuple(parts), tuple(findings), repeating, constants, calibrations, evident
-    )
+        nominal, shapes, tuple(parts), tuple(findings), repeating, constants, calibrations,
+        (*evident, *lines),
+    )  # fmt: skip
 
 
 def _restamped(parts: Sequence[Part], nominal: Nominal, limits: Limits) -> tuple[list[Part], list[Finding]]:
@@ -273,7 +278,18 @@ def _without_outliers(
             step = float(np.sqrt(12.0) * np.max(part.comb_level(channel)))
             course = response.channels[channel]
             motion = maximum_filter1d(course, 7) - minimum_filter1d(course, 7)
-            alone = outliers(gap, step, motion)
+            dropped = _dropped(part, response, channel)
+            if np.any(dropped):
+                valid[channel] = valid[channel] & ~dropped
+                told.append(
+                    Finding(
+                        "dropped",
+                        f"{part.name}: {np.count_nonzero(dropped)} samples of {channel} stand at exactly 0, most of them far "
+                        f"from the simulation, the first at {part.time_s[np.argmax(dropped)]:.6g} s: a loose contact or a lost "
+                        "reading, which are not judged",
+                    )
+                )
+            alone = outliers(np.where(dropped, np.nan, gap), step, motion)
             if np.any(alone):
                 valid[channel] = valid[channel] & ~alone
                 count = np.count_nonzero(alone)
@@ -286,6 +302,18 @@ def _without_outliers(
                 )
         found.append((replace(part, valid=valid), response))
     return found, told
+
+
+def _dropped(part: Part, response: Response, channel: str) -> NDArray[np.bool_]:
+    """Samples (n,) at which a channel shows exactly 0, where the simulation is far from it at most of them; else none."""
+    course = response.channels[channel]
+    # what lies at the end of a range is taken for a limit, and does not count already
+    read = np.any(
+        [part.valid[channel], *(one[channel] for one in part.flat.values() if channel in one)], axis=0
+    )
+    at_zero = read & (part.observed[channel] == 0.0)
+    far = np.abs(course[at_zero]) > DROPPED * np.ptp(course)
+    return at_zero if np.count_nonzero(far) > 0.5 * far.size else np.zeros_like(at_zero)
 
 
 def _mask_after_gaps(

@@ -505,14 +505,17 @@ def _location(study: Study) -> list[Location]:
 
 def _shown(study: Study, evident: Evident) -> NamedEffect:
     """An effect that the values show by themselves, its parameters as exact as they are written."""
-    unit = study.located.problem.nominal.model.description.own_unit("channel unit", evident.signal)
-    record = evident.record
+    description, record = study.located.problem.nominal.model.description, evident.record
+    units = {p.name: description.own_unit(p.unit, evident.signal) for p in record.parameters}
     return NamedEffect(
         record.id,
         study.limits.seen,
         record.statement,
         record.equation,
-        {name: Estimate(value, EXACT * abs(value), unit) for name, value in evident.values.items()},
+        {
+            name: Estimate(value, evident.deviations.get(name, EXACT * abs(value)), units[name])
+            for name, value in evident.values.items()
+        },
         evident.signal,
         record.family(evident.signal),
         "shown by the values themselves",

@@ -154,10 +154,13 @@ ADVANCE: Mapping[str, Mapping[str, str]] = {
     "sensor": {"value": "unit", "period": "s", "sample": "1"},
 }
 """Stage -> what `advance`, which moves the states on by one step, can take besides parameters and states."""
-PLAIN = ("prepare", "evident")
-"""Functions of an effect's file that are not compiled: `prepare`, see `derived`, and of an effect on one signal `evident`:
-it takes the values (n,) that were measured, in the channel's unit, and returns None, or what they show by themselves: the
-effect's parameters, and (n,) the values that say no more than that the true ones are beyond them."""
+PLAIN = ("prepare", "evident", "line")
+"""Functions of an effect's file that are not compiled: `prepare`, see `derived`, and of an effect on one signal, that is not
+fitted where it is not seen, `evident` or `line`. `evident` takes the values (n,) that were measured, in the channel's unit,
+and returns None, or what they show by themselves: the effect's parameters, and (n,) the values that say no more than that the
+true ones are beyond them. `line` takes what the simulation leaves of a channel, in its unit, NaN where nothing was measured,
+the standard deviation that is usual there and the simulated values, each (n,), and the sample period [s]; it returns None, or
+the effect's parameters, among them `frequency` [Hz], and their standard deviations."""
 SETTLED: Mapping[str, Mapping[str, str]] = {
     "driver": {"current": "A"},
     "thermal": {"drive": "K"},
@@ -370,8 +373,9 @@ class Effect:
         for need in self.needs:
             if need not in NEEDS:
                 raise ValueError(f"{where}: needs: found {need!r}, need some of {', '.join(NEEDS)}")
-        if "evident" in self.hooks and not self.signal:
-            raise ValueError(f"{where}: evident: found no signal, need an effect that sits on one channel")
+        for name in {"evident", "line"} & set(self.hooks):
+            if not self.signal:
+                raise ValueError(f"{where}: {name}: found no signal, need an effect that sits on one channel")
         own = {p.name for p in self.parameters}
         for state in self.states:
             if state.settled is None and "settled" not in self.hooks:
