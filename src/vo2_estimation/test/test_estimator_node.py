@@ -9,8 +9,10 @@ from vo2_estimation.estimator_node import EstimatorNode
 from vo2_interface.model import model_parameters
 from vo2_interface.parameters import ros_parameters
 from vo2_interface.testing import bench
-from vo2_models.device import truth
+from vo2_models.device import DeviceModel, truth
 from vo2_models.self_sensing import PolynomialSelfSensing, self_sensing
+
+import vo2_models as vo2
 
 CHANNELS = ("tip_deflection", "temperature_surrogate", "tip_deflection_bound")
 MS = 1_000_000
@@ -46,6 +48,20 @@ def test_estimates_are_those_of_the_library():
         for k, resistance in enumerate([2e5, 9e4, 1.2e4]):
             found = answer(rig, k * MS, {"film_resistance": resistance, "heater_current": 0.005})
             assert found[0] == scheme.update(resistance, scheme.initial_state()).deflection
+
+
+def test_kind_drive_runs_the_whole_model_that_fit_wrote():
+    levels = 3.68e-3 + 4.81e-3 * np.repeat(vo2.damped_oscillation(np.linspace(0, 1, 13)), 10)
+    model = vo2.fit(vo2.simulate("integrated", levels, seed=1), "integrated")
+    expected = DeviceModel.from_parameters(model).simulate(levels[:40], noise=False)
+    with bench(["--ros-args", "-p", "kind:=drive"]) as rig:
+        rig.hear("/vo2/estimate", ("tip_deflection", "film_resistance"))
+        with_model(rig.add(EstimatorNode), model)
+        for k, current in enumerate(levels[:40]):
+            found = answer(rig, k * MS, {"heater_current": current, "film_resistance": 1e5})
+            assert found[0] == pytest.approx(expected["true_tip_deflection"][k], abs=1e-15)
+            assert found[1] == pytest.approx(expected["true_film_resistance"][k], rel=1e-9)
+        rig.until(lambda: "without feedback from a sensor" in rig.status("estimator: model")[0])
 
 
 def test_without_model_every_estimate_is_nan_and_the_remedy_is_told_once():

@@ -39,7 +39,12 @@ ESTIMATOR_PARAMETERS = (
         "Self-sensing scheme; drive predicts deflection and resistance from the drive alone.",
         choices=SCHEMES,
     ),
-    Parameter("drive_channel", "heater_voltage", "", "Channel that kind drive takes as its input."),
+    Parameter(
+        "drive_channel",
+        "heater_voltage",
+        "",
+        "Channel that kind drive takes with a law of its own; a model that fit wrote takes the drive.",
+    ),
     Parameter(
         "sensor.check",
         True,

@@ -143,13 +143,17 @@ def make_scheme(
 
     Parameters
     ----------
-    drive : input of kind `drive`
+    drive : input of kind `drive` with a law that has no device around it
     resistance_range : lowest and highest resistance of the device in use [ohm]
 
     Raises
     ------
     ValueError : unknown kind, or a model that lacks what the scheme needs.
     """
+    if kind == DRIVE and parameters.get("model.device"):
+        from vo2_estimation.model_scheme import ModelScheme  # a whole simulation takes a while to load
+
+        return ModelScheme(parameters)
     if kind == DRIVE:
         return DriveScheme(drive, parameters)
     return ResistanceScheme(kind, parameters, resistance_range)

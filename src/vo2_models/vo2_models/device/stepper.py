@@ -78,6 +78,11 @@ class Stepper:
         return float(self._row[4])
 
     @property
+    def true_resistance(self) -> float:
+        """Resistance of the last sample before its sensor [ohm]."""
+        return float(self._row[6])
+
+    @property
     def temperature(self) -> float:
         """Film temperature of the last sample [degC]."""
         return float(self._row[5])
