@@ -1,8 +1,9 @@
 """Control laws by name."""
 
 import pytest
-from vo2_control.designer import Designer
+from vo2_control.designer import Designer, Task, make_design
 from vo2_control.designs import design_controller
+from vo2_models.device.description import described
 
 
 @pytest.mark.parametrize("operating_a", [0.0, -0.7])
@@ -38,3 +39,23 @@ def test_a_model_of_another_device_is_refused(kind):
         design_controller(
             kind, preset="integrated", sample_period_s=1e-3, values={"model.device": "peltier", "pid.kp": 1.0}
         )
+
+
+def test_a_model_without_an_inverse_still_tells_which_set_points_are_out_of_range():
+    wire = described(
+        {
+            "schema": "vo2-device/1",
+            "id": "wire",
+            "drive": {"channel": "wire_current", "unit": "A", "limits": [0.0, 0.4]},
+            "responses": {
+                "contraction": {"unit": "m", "range": [0.0, 4e-3]},
+                "wire_resistance": {"unit": "ohm", "scale": "log10", "range": [8.0, 10.0]},
+            },
+            "body": {"kind": "first_order", "power_gain": 80.0, "time_constant": 2.0, "ambient": 23.0},
+        },
+        "wire",
+    )
+    values = {"model.device": wire.key, "pid.kp": 20.0, "pid.ki": 15.0}
+    design = make_design(Task("pi", wire.key, 0.05, values, False))
+    assert design.without
+    assert design.reach_m == pytest.approx((-2e-4, 4.2e-3))

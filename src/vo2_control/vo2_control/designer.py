@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
+from vo2_models.device.description import preset
 from vo2_models.parameters import Value
 
 from vo2_control.controller import Controller
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 __all__ = ["Design", "Designer", "Task", "make_design"]
 
 _NICENESS = 5
+BEYOND = 0.05
+"""Share of the response's range by which a set-point may lie outside of it, where no inverse tells what is reachable."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,9 @@ def make_design(task: Task) -> Design:
             reach_m = reach(ahead)
         except ValueError as error:
             without = str(error)
+            if model := str(task.values.get("model.device") or ""):
+                low, high = preset(model).deflection_extent
+                reach_m = low - BEYOND * (high - low), high + BEYOND * (high - low)
     return Design(law, ahead if task.feedforward else None, reach_m, without)
 
 
