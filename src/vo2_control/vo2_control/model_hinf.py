@@ -69,17 +69,21 @@ def robust_from_model(
 
     Raises
     ------
-    ValueError : no model, a model without deflection or without dynamics, a sign-flipped plant.
+    ValueError : no model, a model without deflection, without a heated body or without dynamics, a sign-flipped
+        plant.
     DesignRefused : no weights keep the limit.
     """
     period = positive_number(sample_period_s, "sample_period_s")
     model = DeviceModel.from_parameters(parameters)
     nominal = preset(model.device)
     lag = thermal_lag(model)
-    if not nominal.has_body or lag.time_constant_s + lag.dead_time_s < _LEAST_LAG * period:
-        found = lag.time_constant_s if nominal.has_body else 0.0
+    if not nominal.has_body:
         raise ValueError(
-            f"model.thermal.time_constant: found {found:g} s at a sample period of {period:g} s, a model without dynamics; "
+            f"device {nominal.id}: found no heated body, need one for kind hinf: choose kind pi, or set hinf.*"
+        )
+    if lag.time_constant_s + lag.dead_time_s < _LEAST_LAG * period:
+        raise ValueError(
+            f"model.thermal.time_constant: found {lag.time_constant_s:g} s at a sample period of {period:g} s, a model without dynamics; "
             "kind hinf needs a lag to design for: choose kind pi, or set hinf.*"
         )
     coordinate = law_coordinate(model.device)
