@@ -83,8 +83,8 @@ def robust_from_model(
         )
     if lag.time_constant_s + lag.dead_time_s < _LEAST_LAG * period:
         raise ValueError(
-            f"model.thermal.time_constant: found {lag.time_constant_s:g} s at a sample period of {period:g} s, a model without dynamics; "
-            "kind hinf needs a lag to design for: choose kind pi, or set hinf.*"
+            f"model.thermal.time_constant: found {lag.time_constant_s:g} s at a sample period of {period:g} s, a model without "
+            "dynamics; kind hinf needs a lag to design for: choose kind pi, or set hinf.*"
         )
     coordinate = law_coordinate(model.device)
     power = 2 if coordinate == "heating_power" else 1
