@@ -178,6 +178,11 @@ def test_what_is_unusable_is_refused_with_the_reason() -> None:
             check_recording(bad, model())
 
 
+def test_a_sensor_that_shows_nothing_is_no_copy_of_another():
+    found = check_recording(recording(tip_deflection=np.zeros(2000)), model())
+    assert any("tip_deflection is constant" in finding.text for finding in found)
+
+
 @pytest.mark.parametrize("noise", [0.0, 3e-8])
 def test_a_channel_that_stands_still_is_not_compared(noise) -> None:
     still = 1e-5 + noise * np.random.default_rng(0).standard_normal(2000)

@@ -136,6 +136,12 @@ def read_table(path: Path, column_map: ColumnMap) -> Table:
     ]
     if not rows:
         raise MapError(f"{name}: found {len(cells)} rows, need samples from row {column_map.first_row} on")
+    wide = [number for number, row in rows if sum(cell not in (None, "") for cell in row) >= 2 * len(header)]
+    if column_map.delimiter == "," and len(header) > 1 and len(wide) == len(rows):
+        raise MapError(
+            f"{name}: row {wide[0]}: found {len(rows[0][1])} cells under a header of {len(header)}: commas that separate and "
+            'decimal ones? save the table with another separator, and set delimiter: ";" and decimal: "," in the map'
+        )
     return Table(name, header, rows)
 
 

@@ -140,7 +140,7 @@ def _mixed_up(recording: Recording, nominal: Nominal) -> str:
     for first, second in combinations(present, 2):
         x, y = recording[first], recording[second]
         both = np.isfinite(x) & np.isfinite(y) & (x != 0.0)
-        if np.count_nonzero(both) > 2 and np.ptp(x[both]) > 0.0:
+        if np.count_nonzero(both) > 2 and np.ptp(x[both]) > 0.0 and np.any(y[both]):
             ratio = y[both] / x[both]
             if np.ptp(ratio) <= COPIED * float(np.max(np.abs(ratio))):
                 return f"{second} is a copy of {first}, times {ratio[0]:.4g}: need what each sensor measured"
