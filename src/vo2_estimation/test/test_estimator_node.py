@@ -138,6 +138,21 @@ def test_a_model_that_lacks_what_the_scheme_needs_is_refused_with_the_reason():
         rig.until(lambda: "model.resistance: found no law" in rig.status("estimator: model")[0])
 
 
+def test_the_model_says_which_device_it_is_and_a_preset_that_differs_is_told():
+    other = {**MODEL, "model.device": "peltier"}
+    with polynomial() as rig:
+        rig.hear("/vo2/estimate", CHANNELS)
+        node = rig.add(EstimatorNode)
+        with_model(node, other)
+        assert math.isfinite(answer(rig, MS, {"film_resistance": 1e5})[0])
+        assert node._device.id == "peltier"
+    with bench(["--ros-args", "-p", "kind:=polynomial", "-p", "preset:=peltier"]) as rig:
+        rig.hear("/vo2/estimate", CHANNELS)
+        with_model(rig.add(EstimatorNode))
+        assert math.isnan(answer(rig, MS, {"film_resistance": 1e5})[0])
+        rig.until(lambda: "found integrated, need the preset peltier" in rig.status("estimator: model")[0])
+
+
 def test_a_stuck_sensor_gives_nan_until_the_reading_changes_and_is_told():
     model = {**MODEL, "model.sensors.film_resistance.noise": 0.002}
     with polynomial() as rig:

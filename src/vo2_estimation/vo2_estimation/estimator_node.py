@@ -21,6 +21,7 @@ from vo2_interface.topics import (
     MEASUREMENT,
     SAMPLE_QOS,
 )
+from vo2_models.device.description import DeviceDescription, check_model_of
 from vo2_models.device.description import preset as description
 from vo2_models.parameters import Parameter, Value
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION
@@ -230,6 +231,7 @@ class EstimatorNode(Node):
             self._diagnostics.report("model", "warn", _NO_MODEL, stamp_ns=stamp_ns)
             return
         try:
+            self._device = self._device_of(given)
             self._scheme = make_scheme(
                 kind, self._table.text("drive_channel"), given, self._device.resistance_range
             )
@@ -248,13 +250,26 @@ class EstimatorNode(Node):
             stamp_ns=stamp_ns,
         )
 
+    def _device_of(self, given: Mapping[str, Value]) -> DeviceDescription:
+        """Return the device of the model, which need not be told by `preset` too; without one that of `preset`.
+
+        Raises
+        ------
+        ValueError : `preset` is set, to another device.
+        """
+        own, preset = str(given.get("model.device") or ""), self._table.text("preset")
+        # what it is by default cannot be told from what was set to the same
+        if own and "preset" in self._table.given():
+            check_model_of(own, preset)
+        return description(own or preset)
+
     def _make_check(self, given: Mapping[str, Value]) -> ResistanceCheck | None:
         """Return the check of the sensor, None where it is off or where the scheme does not use the resistance."""
         table = self._table
         if self._scheme is None or self._scheme.input_channel != RESISTANCE or not table.flag("sensor.check"):
             return None
         low, high = table.number("sensor.lower_ohm"), table.number("sensor.upper_ohm")
-        return ResistanceCheck(sensor_limits(table.text("preset"), given, lower_ohm=low, upper_ohm=high))
+        return ResistanceCheck(sensor_limits(self._device.key, given, lower_ohm=low, upper_ohm=high))
 
 
 main = node_main(EstimatorNode)
