@@ -95,7 +95,7 @@ def test_what_the_calibration_had_is_not_new(model):
     assert vo2.diagnose([with_mains(levels, both)], fitted).verdict == "agrees"
 
 
-def test_a_device_without_body_has_its_mains_named():
+def test_a_device_without_body_has_its_mains_named_and_its_steps_told():
     device = described(
         {
             "schema": "vo2-device/1",
@@ -122,6 +122,12 @@ def test_a_device_without_body_has_its_mains_named():
     assert (named.id, named.family) == ("sensor_interference", "sensor:extension")
     amplitude = named.parameters["amplitude"]
     assert abs(amplitude.value - 1.5e-7) < 4.0 * amplitude.std < 0.3e-7
+    coarse, step = recorded(3, 0.0), 6e-8
+    coarse.channels[TIP_DEFLECTION][:] = step * np.round(coarse[TIP_DEFLECTION] / step)
+    found = vo2.diagnose([coarse], fitted)
+    assert not found.effects
+    assert any("the values of extension lie 6e-08 m apart" in text for text in found.limits)
+    assert not any("apart" in text for text in vo2.diagnose([recorded(3, 0.0)], fitted).limits)
 
 
 @pytest.mark.filterwarnings("ignore:no step of the drive")

@@ -16,7 +16,7 @@ from vo2_models.diagnosis.result import Location
 from vo2_models.effects import Effect, effects
 from vo2_models.recording import RESISTANCE
 
-__all__ = ["Evident", "evident_effects", "located_with", "without_lines"]
+__all__ = ["Evident", "evident_effects", "located_with", "untold_steps", "without_lines"]
 
 SAME = 1.05
 """Steps of converters this far apart, as a ratio, are the same one's."""
@@ -103,6 +103,26 @@ def evident_effects(
                     _location(channel, part, acting, response.temperature[acting], nominal.device),
                 )
     return tuple(found.values())
+
+
+def untold_steps(parts: Sequence[Part], nominal: Nominal, evident: Sequence[Evident]) -> list[str]:
+    """Return a sentence for each channel whose converter has become coarser than its sensor's noise, but not than the misfit.
+
+    Parameters
+    ----------
+    parts : recordings
+    nominal : fitted simulation
+    evident : what is told as an effect
+    """
+    named = {one.signal for one in evident if "step" in one.values}
+    device = nominal.model.description
+    return [
+        f"{part.name}: the values of {channel} lie {step:.4g} {device.units.get(channel, '')} apart, other than in the "
+        "calibration: no more than the law misses, so that no effect is named for it"
+        for part in parts
+        for channel, step in part.comb.items()
+        if channel not in named and not _known({"step": step}, channel, nominal)
+    ]
 
 
 def without_lines(

@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 from vo2_models.diagnosis.breakdown import one_loop
 from vo2_models.diagnosis.check import SHORTEST, Finding, Unusable, check_recording
 from vo2_models.diagnosis.consistency import check_consistency
-from vo2_models.diagnosis.evident import Evident, evident_effects, without_lines
+from vo2_models.diagnosis.evident import Evident, evident_effects, untold_steps, without_lines
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.loop_shape import LoopShape, loop_shapes, open_shapes
 from vo2_models.diagnosis.noise import outliers
@@ -137,6 +137,8 @@ def read(
     evident = evident_effects(started, corrected, limits, first_use=calibrations > 0)
     started, lines, swinging = without_lines(started, corrected, limits, first_use=calibrations > 0)
     findings += [Finding("swings", text) for text in swinging]
+    if not calibrations:
+        findings += [Finding("steps", text) for text in untold_steps(parts, nominal, evident)]
     parts, findings = _mask_after_gaps(started, nominal, findings)
     paths = [response.temperature for _, response in started]
     covered = coverage_of(paths) if calibrations else coverage(nominal)
