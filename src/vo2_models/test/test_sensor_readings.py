@@ -142,3 +142,6 @@ def test_readings_of_exactly_nothing_are_told_and_not_judged(model):
     (told,) = [text for text in found.limits if "exactly 0" in text]
     assert f"{np.count_nonzero(loose == 0.0)} samples of tip_deflection" in told
     assert f"the first at {plain.time_s[60]:.6g} s" in told
+    clamped = np.maximum(plain[TIP_DEFLECTION] - 4e-6, 0.0)
+    found = vo2.diagnose([replace(plain, channels={**plain.channels, TIP_DEFLECTION: clamped})], fitted)
+    assert not any("exactly 0" in text for text in found.limits)

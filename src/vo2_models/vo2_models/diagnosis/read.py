@@ -307,15 +307,22 @@ def _without_outliers(
 
 
 def _dropped(part: Part, response: Response, channel: str) -> NDArray[np.bool_]:
-    """Samples (n,) at which a channel shows exactly 0, where the simulation is far from it at most of them; else none."""
+    """Samples (n,) at which a channel jumps to exactly 0, where the simulation is far from it at most of them; else none.
+
+    A range that ends at 0 is reached step by step.
+    """
     course = response.channels[channel]
     # what lies at the end of a range is taken for a limit, and does not count already
     read = np.any(
         [part.valid[channel], *(one[channel] for one in part.flat.values() if channel in one)], axis=0
     )
     at_zero = read & (part.observed[channel] == 0.0)
-    far = np.abs(course[at_zero]) > DROPPED * np.ptp(course)
-    return at_zero if np.count_nonzero(far) > 0.5 * far.size else np.zeros_like(at_zero)
+    beside = read & ~at_zero & (np.convolve(at_zero, np.ones(3), "same") > 0.0)
+    least = DROPPED * np.ptp(course)
+    for off in (np.abs(course[at_zero]), np.abs(part.observed[channel][beside])):
+        if not np.count_nonzero(off > least) > 0.5 * off.size:
+            return np.zeros_like(at_zero)
+    return at_zero
 
 
 def _mask_after_gaps(
