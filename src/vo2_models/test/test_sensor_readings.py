@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from vo2_models.device.description import described
+from own_devices import STACK
 from vo2_models.effects import effect
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
@@ -96,16 +96,6 @@ def test_what_the_calibration_had_is_not_new(model):
 
 
 def test_a_device_without_body_has_its_mains_named_and_its_steps_told():
-    device = described(
-        {
-            "schema": "vo2-device/1",
-            "id": "stack",
-            "drive": {"channel": "drive_voltage", "unit": "V", "limits": [0.0, 60.0]},
-            "responses": {"extension": {"unit": "m"}},
-        },
-        "stack",
-    )
-
     def recorded(seed: int, hum: float) -> Recording:
         rng, count = np.random.default_rng(seed), 500
         levels = np.concatenate([[0.0, 60.0, 0.0], rng.uniform(0.0, 60.0, 14)])
@@ -117,7 +107,7 @@ def test_a_device_without_body_has_its_mains_named_and_its_steps_told():
         return Recording(TIME[:count], {HEATER_CURRENT: volts, TIP_DEFLECTION: 1e-5 * stroke}, "stack")
 
     with pytest.warns(UserWarning, match="plays"):
-        fitted = vo2.fit(recorded(1, 0.0), device.key)
+        fitted = vo2.fit(recorded(1, 0.0), STACK.key)
     (named,) = vo2.diagnose([recorded(2, 1.5e-2)], fitted).effects
     assert (named.id, named.family) == ("sensor_interference", "sensor:extension")
     amplitude = named.parameters["amplitude"]

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from own_devices import STACK
 from vo2_models.device import DeviceModel
-from vo2_models.device.description import described
 from vo2_models.device.model import SensorModel
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import Located, locate
@@ -18,16 +18,6 @@ from vo2_models.diagnosis.read import read
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.identification.steepness import steep_misfit, unevenness, variation
 from vo2_models.recording import HEATER_CURRENT, TIP_DEFLECTION, Recording
-
-DEVICE = described(
-    {
-        "schema": "vo2-device/1",
-        "id": "stack",
-        "drive": {"channel": "drive_voltage", "unit": "V", "limits": [0.0, 60.0]},
-        "responses": {"extension": {"unit": "m"}},
-    },
-    "stack",
-)
 
 
 def recorded(seed: int, change: float = 0.0) -> Recording:
@@ -56,7 +46,7 @@ def located(recording: Recording, model: dict) -> Located:
 
 
 def test_a_change_on_flat_stretches_shows_beside_a_misfit_of_the_steep_ones():
-    model = fit_model([recorded(1)], DEVICE.key)[1]
+    model = fit_model([recorded(1)], STACK.key)[1]
     sensor = f"model.sensors.{TIP_DEFLECTION}"
     assert model[f"{sensor}.misfit_flat"] < 0.1 * model[f"{sensor}.misfit"]
     even = {name: value for name, value in model.items() if "misfit_" not in name}
@@ -124,15 +114,15 @@ def test_a_sensor_without_flat_misfit_is_even():
     path = np.linspace(30.0, 90.0, 200)
     response = np.tanh((path - 60.0) / 4.0)
     sensor = SensorModel(noise=0.01, residual=0.2, misfit=0.25)
-    np.testing.assert_array_equal(unevenness(DEVICE, sensor, path, response), np.ones(200))
-    uneven = unevenness(DEVICE, replace(sensor, misfit_flat=0.05, misfit_steep=0.4), path, response)
+    np.testing.assert_array_equal(unevenness(STACK, sensor, path, response), np.ones(200))
+    uneven = unevenness(STACK, replace(sensor, misfit_flat=0.05, misfit_steep=0.4), path, response)
     assert uneven[3] == pytest.approx(0.05 / 0.25, rel=1e-3)
     assert uneven[100] == pytest.approx(np.hypot(0.05, 0.4 * 0.03 * 60.0 / 4.0) / 0.25, rel=0.02)
 
 
 def test_sizes_are_in_the_model_file_only_where_there_are_two():
     sensor = SensorModel(noise=0.01, residual=0.2, misfit=0.25)
-    plain = DeviceModel(DEVICE.key, sensors={TIP_DEFLECTION: sensor})
+    plain = DeviceModel(STACK.key, sensors={TIP_DEFLECTION: sensor})
     assert not any("misfit_" in name for name in plain.to_parameters())
     two = replace(
         plain,

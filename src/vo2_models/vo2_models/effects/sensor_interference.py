@@ -21,12 +21,14 @@ PERIODS = 8.0
 """Cycles of the drive in a recording from which multiples of its frequency stand apart."""
 TOP = 0.75
 """Distance of a line from the bin that shows it most, in bins."""
-LONGEST, MOST = 8.0, 64
-"""Least cycles of a block, and most blocks, each of which must agree on amplitude and phase."""
+SHORTEST, FEWEST, MOST = 8.0, 8, 64
+"""Least cycles of a block, least samples in it, and most blocks."""
 AGREES = 0.5
 """Distance from the whole recording's line, over its amplitude, that blocks of one kind may have together."""
 KIND = 3
-"""Blocks of which a kind must have as many to be asked."""
+"""Blocks that a kind must have to be asked."""
+STILL = 0.02
+"""Share of the range by which the simulated value moves within a block that counts as at rest."""
 
 EFFECT = Effect(
     id="sensor_interference",
@@ -92,12 +94,12 @@ def line(left, size, value, period):
     if abs(cycles - place) > TOP:
         return None  # the side of a line of the drive
     frequency = cycles / (z.size * period)
-    blocks = np.array_split(np.arange(z.size), int(np.clip(cycles / LONGEST, 2 * KIND, MOST)))
+    blocks = np.array_split(np.arange(z.size), int(np.clip(cycles / SHORTEST, 2 * KIND, MOST)))
     turn = np.exp(2j * np.pi * frequency * time)
     found = []
     for block in blocks:
         at = block[good[block]]
-        if at.size < 8:
+        if at.size < FEWEST:
             continue
         scale = 1.0 / size[at]
         columns = np.column_stack(
@@ -115,7 +117,7 @@ def line(left, size, value, period):
     frequency += rate / (2.0 * np.pi)
     each = each * np.exp(-1j * rate * middle)
     whole = np.average(each, weights=count)
-    still = 0.02 * np.ptp(value)
+    still = STILL * np.ptp(value)
     kinds = [np.abs(way) <= still, way > still, way < -still]
     kinds += [start * 4.0 // (time[-1] + period) == quarter for quarter in range(4)]
     told = [np.average(each[kind], weights=count[kind]) for kind in kinds if np.count_nonzero(kind) >= KIND]
