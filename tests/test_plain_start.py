@@ -189,6 +189,32 @@ def test_three_processes_and_a_recorder_at_1_khz_lose_nothing(tmp_path, samples)
     assert sum(counts.values()) == 3 * samples
 
 
+def test_a_recorder_that_stands_still_for_almost_half_a_second_loses_nothing_at_1_khz(tmp_path):
+    """What a publisher keeps (100 samples) is over by then: the queue of its socket has to hold the rest."""
+    environment = plain_environment()
+    record = [
+        installed("vo2_identification", "record"),
+        "--output",
+        str(tmp_path / "bag"),
+        "--messages",
+        "2500",
+    ]
+    plant = [installed("vo2_plant_sim", "plant"), "--ros-args", "-p", "time:=wall", "-p", "rate_hz:=1000.0"]
+    with (
+        running([*record, "--topics", "/vo2/measurement"], environment) as recorder,
+        running(plant, environment),
+    ):
+        wait_for(lambda: sum(path.stat().st_size for path in tmp_path.rglob("*.mcap")), "a sample in the bag")
+        for _ in range(3):
+            recorder.send_signal(signal.SIGSTOP)
+            time.sleep(0.4)
+            recorder.send_signal(signal.SIGCONT)
+            time.sleep(0.2)
+        said, _ = recorder.communicate(timeout=PATIENCE_S)
+    assert "Recorded 2500 messages" in said
+    assert "did not arrive" not in said
+
+
 def segments():
     """Shared-memory segments of Fast DDS on this host: name -> size in bytes."""
     names = Path("/dev/shm").glob("fastrtps_*")
