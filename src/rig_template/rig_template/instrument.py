@@ -2,7 +2,7 @@
 
 `*IDN?` names it, `SOUR:CURR X` sets the current [A], `OUTP ON` and `OUTP OFF` switch it, `READ?` is answered with
 current [A], resistance [ohm] and deflection [m], `SYST:ERR?` with what was wrong last. Behind it is the simulated
-device, in real time. `--silent-after S` and `--garbled-after S` make it fail.
+device, in real time. `--silent-after S`, `--garbled-after S` and `--beyond-after S` make it fail.
 """
 
 from __future__ import annotations
@@ -107,6 +107,8 @@ def _serve(instrument: Instrument, number: int, options: argparse.Namespace) -> 
                 continue
             if passed_s > options.garbled_after:
                 said = "?" + said
+            if passed_s > options.beyond_after:
+                said = ",".join([*said.split(",")[:-1], "9.9E+37"])
             os.write(number, said.encode("ascii") + b"\n")
 
 
@@ -128,6 +130,13 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument("--pty", action="store_true", help="A pseudo terminal in the place of TCP.")
     parser.add_argument("--silent-after", type=float, default=math.inf, metavar="S", help="Answer no more.")
     parser.add_argument("--garbled-after", type=float, default=math.inf, metavar="S", help="Answer nonsense.")
+    parser.add_argument(
+        "--beyond-after",
+        type=float,
+        default=math.inf,
+        metavar="S",
+        help="The last value is beyond the range.",
+    )
     parser.add_argument("--log", action="store_true", help="Write every line that comes to standard error.")
     options = parser.parse_args(args)
     try:

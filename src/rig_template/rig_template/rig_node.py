@@ -9,6 +9,7 @@ otherwise, copy the package and replace `_sample` and `_drive`.
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 
@@ -59,6 +60,8 @@ RIG_PARAMETERS = (
     Parameter("protocol.off", "OUTP OFF", "", "Line that switches the output off; empty for none."),
 )
 _NS = 1_000_000_000
+_OVERRANGE = 9.9e37
+"""What SCPI answers beyond a range; 9.91e37 is no number at all: Rohde & Schwarz, NGE100B User Manual, "Numeric values"."""
 _LATE = 0.75
 """Share of a period by which a sample may be late before it counts as skipped."""
 
@@ -126,7 +129,17 @@ class RigNode(ManagedNode):
                 f"{self._table.text('protocol.read')}: found {answer[:60]!r}, need {len(self._channels)} numbers "
                 f"({', '.join(self._channels)})"
             )
-        return values
+        without = [name for name, value in zip(self._channels, values, strict=True) if not _is_reading(value)]
+        if without:
+            self._diagnostics.report(
+                "reading",
+                "error",
+                f"{self._table.text('protocol.read')}: no value of {', '.join(without)} (not a number, or beyond the "
+                "instrument's range): published as NaN",
+            )
+        elif self._diagnostics.level("reading") != "ok":
+            self._diagnostics.report("reading", "ok", "every channel has a value")
+        return tuple(value if _is_reading(value) else math.nan for value in values)
 
     # --- life cycle ---------------------------------------------------------------------------------
 
@@ -221,6 +234,11 @@ class RigNode(ManagedNode):
         """End at an instrument that does not answer as it should."""
         self._diagnostics.report("instrument", "error", str(error))
         self._fail(str(error))
+
+
+def _is_reading(value: float) -> bool:
+    """Whether a number is one that was measured."""
+    return abs(value) < _OVERRANGE  # false of NaN
 
 
 main = node_main(RigNode)

@@ -7,6 +7,7 @@ import threading
 import time
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -59,6 +60,7 @@ def wires():
         "pty": ("--pty",),
         "silent": ("--port", "0", "--silent-after", "1.0"),
         "garbled": ("--port", "0", "--garbled-after", "1.0"),
+        "beyond": ("--port", "0", "--beyond-after", "1.0"),
     }
     found = {name: Wire(*arguments) for name, arguments in kinds.items()}
     yield found
@@ -171,6 +173,14 @@ def test_an_instrument_that_fails_is_left_safe_and_may_be_taken_again(wires, kin
         assert change(rig, "activate")
         count = len(rig.heard["/vo2/measurement"])
         rig.until(lambda: len(rig.heard["/vo2/measurement"]) > count)
+
+
+def test_a_reading_beyond_the_range_is_told_and_no_value(wires):
+    with rig_at(wires["beyond"].address) as (rig, add):
+        add()
+        rig.until(lambda: "no value of tip_deflection" in rig.status("rig: reading")[0])
+        rig.until(lambda: np.isnan(rig.heard["/vo2/measurement"][-1][1][2]))
+        assert np.isfinite(rig.heard["/vo2/measurement"][-1][1][:2]).all()
 
 
 def test_a_connection_that_breaks_is_told(wires):

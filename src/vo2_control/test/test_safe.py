@@ -121,6 +121,11 @@ def test_bad_settings_are_named():
         SafetySettings(PERIOD, hold_periods=-1)
 
 
+def test_what_a_device_is_driven_by_is_told_in_its_unit():
+    s = supervisor(unit="V", hold_periods=0)
+    assert s.lost(0.0, "nothing there").reason == "nothing there: safe current 0 V"
+
+
 def test_begins_at_a_current_that_flows_already_but_only_once():
     s = supervisor()
     s.begin_at(0.005)

@@ -169,6 +169,7 @@ class CommandNode(ManagedNode):
             hold_periods=HOLD_SAMPLES,
             reach_m=reach_m,
             wall_time=self._wall,
+            unit=self._point.unit,
         )
 
     @property

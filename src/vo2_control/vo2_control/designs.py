@@ -140,7 +140,8 @@ def check_device_limits(preset: str, sample_period_s: float, values: Mapping[str
         value = float(values.get(name, 0.0))  # type: ignore[arg-type]
         if not point.least_a <= value <= point.most_a:
             raise ValueError(
-                f"{name}: found {value:g} A, need {point.least_a:g} to {point.most_a:g} A, which {preset} bears"
+                f"{name}: found {value:g} {point.unit}, need {point.least_a:g} to {point.most_a:g} {point.unit}, which "
+                f"{preset} bears"
             )
     span, unit = point.most_a - point.least_a, "A/m"
     if values.get("pid.coordinate") == "heating_power":

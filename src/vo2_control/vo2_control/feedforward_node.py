@@ -65,7 +65,7 @@ class FeedforwardNode(CommandNode):
             kept = (
                 "the former inverse stays"
                 if self._ahead
-                else f"safe current {self._point.safe_a:g} A until then"
+                else f"safe current {self._point.safe_a:g} {self._point.unit} until then"
             )
             self._diagnostics.report("model", "error", f"{error}; {kept}")
             return

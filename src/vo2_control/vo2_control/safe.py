@@ -34,6 +34,7 @@ class SafetySettings:
     hold_periods : sample periods for which the last current is held without good input
     reach_m : lowest and highest deflection that the device reaches [m]; references are clipped to it
     wall_time : whether time passes, and the plant lets go, while no samples are answered
+    unit : of the drive, in messages
     """
 
     sample_period_s: float
@@ -41,6 +42,7 @@ class SafetySettings:
     hold_periods: int = 3
     reach_m: tuple[float, float] = (-math.inf, math.inf)
     wall_time: bool = False
+    unit: str = "A"
 
     def __post_init__(self) -> None:
         positive_number(self.sample_period_s, "sample_period_s")
@@ -172,11 +174,13 @@ class Supervisor:
         limit = self.settings.hold_periods
         if self._mode not in OPEN and not self._is_over(time_s):
             self._mode = "holding"
-            self._reason = f"{fault}: holding {self._current:.6g} A for at most {limit} samples"
+            self._reason = (
+                f"{fault}: holding {self._current:.6g} {self.settings.unit} for at most {limit} samples"
+            )
         else:
             self._current = self.settings.safe_current_a
             self._mode = "safe"
-            self._reason = f"{fault}: safe current {self._current:.6g} A"
+            self._reason = f"{fault}: safe current {self._current:.6g} {self.settings.unit}"
         return Decision(self._current, self._mode, self._reason)
 
     @staticmethod

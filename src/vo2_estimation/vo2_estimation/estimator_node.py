@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections import deque
 from collections.abc import Mapping
+from statistics import median_low
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -71,6 +73,8 @@ ESTIMATOR_PARAMETERS = (
 )
 _NAN = float("nan")
 _BEAT_SAMPLES = 1000
+_STEPS = 31
+"""Last steps between samples whose median is taken for the period."""
 _GAP = 1.5
 """Periods between two samples beyond which one was lost."""
 _STILL = 0.03
@@ -106,7 +110,7 @@ class EstimatorNode(Node):
         self._check: ResistanceCheck | None = None
         self._off_period = 0
         self._used_ns: int | None = None
-        self._step_ns = 0
+        self._steps_ns: deque[int] = deque(maxlen=_STEPS)
         self._device = description(preset)
         self._reader = SampleReader((RESISTANCE, HEATER_CURRENT))
         self._writer = SampleWriter(ESTIMATE_CHANNELS, preset)
@@ -136,7 +140,8 @@ class EstimatorNode(Node):
                 f"the stamp on {MEASUREMENT} jumped back: taken as a new recording of a cold device",
                 stamp_ns=stamp_ns,
             )
-            self._used_ns, self._step_ns = None, 0
+            self._used_ns = None
+            self._steps_ns.clear()
             if self._scheme is not None:
                 self._scheme.restart()
         if self._scheme is not None and self._scheme.period_s:
@@ -210,10 +215,21 @@ class EstimatorNode(Node):
         if used_ns is None:
             return
         step_ns = stamp_ns - used_ns
-        # lost samples make steps longer, nothing makes them shorter: the shortest is the period
-        self._step_ns = min(self._step_ns or step_ns, step_ns)
-        if step_ns > _GAP * self._step_ns and 1e-9 * step_ns > _STILL * self._device.time_constant:
-            scheme.bridge()
+        # a clock of wall time jitters: after a late sample the next one comes early
+        self._steps_ns.append(step_ns)
+        if (
+            step_ns <= _GAP * median_low(self._steps_ns)
+            or 1e-9 * step_ns <= _STILL * self._device.time_constant
+        ):
+            return
+        scheme.bridge()
+        if scheme.known:
+            self._diagnostics.count(
+                "gaps",
+                f"samples on {MEASUREMENT} were lost: what the drive did meanwhile is not in the estimate",
+                stamp_ns=stamp_ns,
+            )
+        else:
             self._diagnostics.report(
                 "memory",
                 "warn",

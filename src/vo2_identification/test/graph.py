@@ -94,7 +94,8 @@ class Graph:
 def running(module: str, *arguments: object, before: Callable[[], None] | None = None):
     """Run `python -m module` for the length of the context; whatever happens, it is gone afterwards."""
     process = subprocess.Popen(
-        [sys.executable, "-m", module, *map(str, arguments)],
+        # -B: one whose files may not grow would leave a byte code file cut short to all who come after it
+        [sys.executable, "-B", "-m", module, *map(str, arguments)],
         env=environment(),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

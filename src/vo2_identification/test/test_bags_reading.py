@@ -14,6 +14,7 @@ from vo2_identification.bags import BagError, read_bag, read_recording
 from vo2_identification.bags.joint_state import JointStates, encode
 from vo2_identification.bags.reading import commanded_current
 from vo2_models.device.description import described
+from vo2_models.identification.grid import on_grid
 from vo2_models.recording import aligned, regular
 
 KINDS = [
@@ -201,6 +202,30 @@ def test_commands_of_samples_that_were_not_logged_are_kept(tmp_path):
     assert one_later.unread is not None
     np.testing.assert_allclose(one_later.unread[1], [13.0, 15.0, 17.0], atol=1e-9)
     assert recording.slice(0, 4).unread[0].size == 1
+
+
+def test_where_commands_have_ended_the_log_says_what_drives(tmp_path):
+    """A rig goes to its safe value after three periods without a command, and the recording goes on."""
+    samples = []
+    for k, sample in enumerate(measurements(40)):
+        drive = 0.5 if 1 <= k < 24 else 0.0
+        samples.append(sample._replace(values=(drive, sample.values[1])))
+        if k < 20:
+            samples.append(Sample("/vo2/command", sample.stamp_ns, ("heater_current",), (0.5,)))
+    recording, problems = read_recording(bag_by_rosbags(tmp_path / "bag", samples))
+    assert np.flatnonzero(np.isnan(recording["commanded_current"])).tolist() == [0, *range(24, 40)]
+    (said,) = (problem for problem in problems if problem.kind == "uncommanded")
+    assert said.text.startswith("16 samples come more than 4 periods after")
+    assert on_grid(recording).current.tolist() == [0.0] + 23 * [0.5] + 16 * [0.0]
+    moved = aligned(recording, recording.sample_period_s)
+    assert on_grid(moved).current[25:].tolist() == 15 * [0.0]
+    # whoever commands now and then only means to be held
+    few = [sample for sample in samples if sample.topic != "/vo2/command"] + [
+        Sample("/vo2/command", 0, ("heater_current",), (0.5,))
+    ]
+    held, problems = read_recording(bag_by_rosbags(tmp_path / "few", few))
+    assert np.flatnonzero(np.isnan(held["commanded_current"])).tolist() == [0]
+    assert "uncommanded" not in kinds_of(problems)
 
 
 def test_what_the_graph_recorded_is_read_for_a_device_with_names_of_its_own(tmp_path):

@@ -224,7 +224,7 @@ def test_a_full_disk_is_one_line_that_names_the_bag_and_leaves_no_stub(tmp_path,
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
         ended = subprocess.run(
-            [sys.executable, "-m", "vo2_identification.convert", *arguments],
+            [sys.executable, "-B", "-m", "vo2_identification.convert", *arguments],
             cwd=tmp_path,
             preexec_fn=small_disk,
             capture_output=True,

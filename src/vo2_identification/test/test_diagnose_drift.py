@@ -47,6 +47,16 @@ def test_a_room_half_a_kelvin_off_is_a_drift_of_the_ambient(parameters, sign) ->
     assert all("provenance" in limit for limit in plain["decision_limits"].values())
 
 
+@pytest.mark.parametrize("kelvin", [pytest.param(-4.0, marks=pytest.mark.slow), 6.0])
+def test_a_room_some_kelvin_off_is_no_laser_that_heats_all_the_time(parameters, kelvin) -> None:
+    answer = diagnose([concealed(moved=((Coefficient.AMBIENT, 1.0, kelvin),))], parameters)
+    assert answer.verdict == "drifted" and answer.effects == []
+    (moved,) = answer.moved
+    assert moved.constant == "thermal.ambient"
+    assert moved.now - moved.was == pytest.approx(kelvin, abs=3.0 * moved.std)
+    assert moved.std < 0.5
+
+
 @pytest.mark.slow
 def test_sensors_set_anew_are_told_apart(parameters) -> None:
     answer = diagnose(

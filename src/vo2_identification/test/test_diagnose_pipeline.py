@@ -14,7 +14,7 @@ from vo2_identification.bags import write_bag
 from vo2_identification.diagnose import main
 from vo2_models.device import DeviceModel, preset, truth
 from vo2_models.diagnosis import diagnose, study, validate
-from vo2_models.diagnosis.corrected_model import corrected_parameters
+from vo2_models.diagnosis.corrected_model import corrected_model
 from vo2_models.diagnosis.decide import _worsens
 from vo2_models.diagnosis.drift import drift_of
 from vo2_models.diagnosis.files import write_results
@@ -229,7 +229,7 @@ def test_one_effect_is_named_where_several_constants_would_have_to_move_in_its_p
     assert [effect.id for effect in answer.effects] == ["heater_tcr"] and answer.moved == []
     assert answer.effects[0].parameters["alpha"].value == pytest.approx(1e-4, rel=0.2)
     assert any("constants may have moved" in limit for limit in answer.limits)
-    corrected = corrected_parameters(seen)
+    corrected = corrected_model(seen).parameters
     was = parameters["model.thermal.square_gain"]
     assert corrected["model.thermal.square_gain"] == pytest.approx(was, rel=1e-3)
 
@@ -532,7 +532,16 @@ def test_a_full_disk_names_the_file_and_leaves_nothing(parameters, tmp_path) -> 
     def small_disk():
         resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 
-    command = [sys.executable, "-m", "vo2_identification.diagnose", "--bag", "bag", "--model", "model.yaml"]
+    command = [
+        sys.executable,
+        "-B",
+        "-m",
+        "vo2_identification.diagnose",
+        "--bag",
+        "bag",
+        "--model",
+        "model.yaml",
+    ]
     # once with room, so that the compiled kernels are kept already: they are larger than any result
     subprocess.run([*command, "--output", "before"], cwd=tmp_path, check=True)
     ended = subprocess.run(

@@ -67,6 +67,17 @@ def test_a_converter_that_clips_is_read_off_its_values(parameters, tmp_path) -> 
         for model in (Nominal.from_parameters(parameters), corrected)
     ]
     assert error[1] < 0.1 * error[0]
+    assert not any("scatter" in text for text in answer.limits)
+
+
+@pytest.mark.slow
+def test_an_end_at_which_the_values_scatter_may_be_a_stop(parameters) -> None:
+    whole = concealed()
+    high = float(np.quantile(whole[TIP_DEFLECTION], 0.8))
+    noise = 6e-8 * np.random.default_rng(8).normal(size=len(whole))
+    answer = diagnose([with_tip(whole, lambda tip: np.where(tip > high, high + noise, tip))], parameters)
+    assert named(answer) == [("adc_saturation", TIP_DEFLECTION)]
+    assert any("scatter" in text and "a stop" in text for text in answer.limits)
 
 
 @pytest.mark.slow

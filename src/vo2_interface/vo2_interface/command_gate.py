@@ -33,6 +33,7 @@ class CommandGate:
     def __init__(self, point: OperatingPoint, period_ns: int, diagnostics: Diagnostics) -> None:
         self._least_a, self._most_a, self._safe_a = point.least_a, point.most_a, point.safe_a
         self._period_ns, self._diagnostics = period_ns, diagnostics
+        self._unit = point.unit
         self.reset()
 
     def reset(self) -> None:
@@ -50,13 +51,13 @@ class CommandGate:
             return current_a
         if math.isfinite(current_a):
             applied = min(max(current_a, self._least_a), self._most_a)
-            why = f"outside the {self._least_a:g} to {self._most_a:g} A that the device bears"
+            why = f"outside the {self._least_a:g} to {self._most_a:g} {self._unit} that the device bears"
         else:
             applied, why = self._safe_a, "not finite"
         self._diagnostics.report(
             "command",
             "error",
-            f"heater_current on {COMMAND} is {current_a:g} A, {why}; {applied:g} A is applied instead",
+            f"heater_current on {COMMAND} is {current_a:g} {self._unit}, {why}; {applied:g} {self._unit} is applied instead",
             stamp_ns=stamp_ns,
         )
         return applied
@@ -104,7 +105,7 @@ class CommandGate:
             self._diagnostics.report(
                 "command",
                 "error",
-                f"no command for {HOLD_SAMPLES} periods: safe current {self._safe_a:g} A",
+                f"no command for {HOLD_SAMPLES} periods: safe current {self._safe_a:g} {self._unit}",
             )
             self._current_a = None
             return self._safe_a

@@ -118,7 +118,7 @@ class ManagedNode(LifecycleNode):
     def _fail(self, why: str) -> None:
         """Go to the safe current and to `unconfigured`, whatever the node is at."""
         self._broken = True
-        self._say("error", f"{why}: safe current; configure and activate it again")
+        self._say("error", f"{why}: safe current asked for; configure and activate it again")
         if self.lifecycle_state == "active":
             self.trigger_deactivate()
         elif self.lifecycle_state == "inactive":

@@ -24,6 +24,7 @@ class OperatingPoint:
     cold_a, hot_a : ends of the operating range by temperature [A]: below and above both transitions
     settle_s : time after which a held current is quasi-static [s]
     deflection_range_m : what "per cent of range" divides by [m]
+    unit : of the drive, which stands for A in all of these
     """
 
     rate_hz: float
@@ -36,6 +37,7 @@ class OperatingPoint:
     hot_a: float
     settle_s: float
     deflection_range_m: float
+    unit: str = "A"
 
 
 _SETTLE_CONSTANTS = 5.0
@@ -62,6 +64,7 @@ def operating_point(preset_id: str) -> OperatingPoint:
         settle_s=round(_SETTLE_CONSTANTS * nominal.time_constant / nominal.sample_period + 0.5)
         * nominal.sample_period,
         deflection_range_m=nominal.deflection_range,
+        unit=nominal.drive_unit,
     )
 
 

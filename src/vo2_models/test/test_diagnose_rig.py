@@ -11,7 +11,7 @@ from vo2_models.device.description import described, preset
 from vo2_models.diagnosis import decide, hypotheses, report
 from vo2_models.diagnosis import search as third_stage
 from vo2_models.diagnosis.adequacy import Adequacy, adequacy_of, shown
-from vo2_models.diagnosis.corrected_model import corrected_parameters
+from vo2_models.diagnosis.corrected_model import corrected_model
 from vo2_models.diagnosis.drift import drift_of
 from vo2_models.diagnosis.explain import either_way, fit_jointly
 from vo2_models.diagnosis.families import BY_DEPENDENCE, family_of_unnamed
@@ -94,6 +94,19 @@ def test_an_unchanged_device_agrees_and_nothing_is_named(model, given, finding):
     told = assemble_diagnosis(found).summary
     assert "could not be judged" not in told and "tip_deflection" not in told
     assert not finding or finding in [f.kind for f in found.reading.findings]
+
+
+def test_what_is_far_from_the_model_as_it_is_does_not_agree_though_constants_and_loops_take_it_up(
+    model, unchanged
+):
+    judged = unchanged.decision.judged
+    far = judged.before[TIP_DEFLECTION] / judged.floor[TIP_DEFLECTION]
+    assert unchanged.decision.taken_up == {} and far < unchanged.limits.as_it_is
+    found = study([recorded(2)], model, limits=replace(unchanged.limits, as_it_is=0.9 * far))
+    answer = assemble_diagnosis(found)
+    assert answer.verdict == "differs" and answer.moved == []
+    assert [effect.id for effect in answer.effects] == ["unknown"]
+    assert f"misses it by {far:.2g} times" in answer.summary
 
 
 @pytest.mark.parametrize(
@@ -465,7 +478,7 @@ def test_a_gain_or_a_zero_that_has_moved_is_told_as_that(model, change, constant
     (told,) = assemble_diagnosis(found).moved
     assert told.constant == constant and told.std <= drift.std[farthest]
     assert told.now - told.was == pytest.approx(moved, abs=3.0 * told.std)
-    corrected = corrected_parameters(found)
+    corrected = corrected_model(found).parameters
     for name in ("ambient", "linear_gain", "time_constant"):  # free together, these make up for a part of it
         assert corrected[f"model.thermal.{name}"] == pytest.approx(model[f"model.thermal.{name}"], rel=5e-3)
     assert moved_in_place(found) == []

@@ -90,7 +90,11 @@ def test_a_full_disk_leaves_the_former_file_nothing_beside_it_and_names_it(tmp_p
         "except OSError as error: print(error.filename)\n"
     )
     said = subprocess.run(
-        [sys.executable, "-c", code, path], preexec_fn=small_disk, capture_output=True, text=True, check=True
+        [sys.executable, "-B", "-c", code, path],
+        preexec_fn=small_disk,
+        capture_output=True,
+        text=True,
+        check=True,
     ).stdout
     assert said.strip() == str(path)
     assert path.read_text() == "before"

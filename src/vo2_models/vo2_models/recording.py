@@ -136,7 +136,7 @@ def aligned(recording: Recording, delay: float) -> Recording:
 
     A rig may stamp a command at the end of the interval it governs (delay: minus one sample period) or apply it late by a
     constant. Element k of `commanded_current` becomes the mean of the held command over the interval that ends at
-    `time_s[k]`, moved back by the delay. Before the first command it stays NaN.
+    `time_s[k]`, moved back by the delay. Before the first command it stays NaN, and where none governs any more.
 
     Parameters
     ----------
@@ -162,6 +162,10 @@ def aligned(recording: Recording, delay: float) -> Recording:
     moved = (integral(ends[1:] - delay) - integral(ends[:-1] - delay)) / np.diff(ends)
     if first:
         moved[time - delay < time[first]] = np.nan
+    # where no command governs any more only the log says what flowed, before and after the move
+    alone = ~np.isfinite(command)
+    alone[:first] = False
+    moved[alone[np.clip(np.searchsorted(time, time - delay), 0, time.size - 1)]] = np.nan
     read = np.isin(time, recording.time_s)
     unread = None if recording.unread is None else (time[~read], moved[~read])
     channels = {**recording.channels, COMMANDED_CURRENT: moved[read]}

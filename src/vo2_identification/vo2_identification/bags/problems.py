@@ -22,6 +22,10 @@ class BagError(InputError):
     """A bag that cannot be used at all; the message is one line that names it and the remedy."""
 
 
+_OF_DAY_S = 1e6
+"""Stamps beyond are times of day, whose milliseconds are behind the tenth digit [s]."""
+
+
 @dataclass(frozen=True)
 class Problem:
     """One thing that is wrong with a recording that could be read nevertheless.
@@ -29,7 +33,8 @@ class Problem:
     Attributes
     ----------
     kind : `gap`, `non_monotonic`, `restart`, `nan`, `absent_channel`, `malformed`, `missing_topic`,
-        `other_namespace`, `other_device`, `negative_time`, `truncated`, `corrupt`, `metadata`, `missing_file`, `repeat`, `more`
+        `other_namespace`, `other_device`, `negative_time`, `truncated`, `corrupt`, `metadata`, `missing_file`, `repeat`,
+        `uncommanded`, `more`
     topic : topic name, or the file name where a file is meant
     text : what was found, in words
     time_s : stamp [s] of the place, None where a time has no meaning
@@ -45,7 +50,7 @@ class Problem:
     def __str__(self) -> str:
         place = [self.topic]
         if self.time_s is not None:
-            place.append(f"at {self.time_s:.9g} s")
+            place.append(f"at {self.time_s:{'.3f' if abs(self.time_s) > _OF_DAY_S else '.9g'}} s")
         if self.index is not None:
             in_file = self.kind in {"truncated", "corrupt", "metadata", "missing_file"}
             place.append(f"{'byte' if in_file else 'sample'} {self.index}")

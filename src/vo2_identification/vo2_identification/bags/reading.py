@@ -31,6 +31,8 @@ ROLES = ("command", "measurement", "estimate", "reference")
 """Last parts of the topic names that carry samples."""
 _HELD = 4.0
 """Sample periods for which a command that was followed by none is taken as held by the driver, and not as lost to the log."""
+_SOME, _FOR_MOST = 10, 0.5
+"""Commands, and commands a sample, from which whoever commands is taken to do so at every sample."""
 _MOST_VALUES = 20_000_000
 """Stamps and values of one bag that are held: 2.8 million samples of four channels and their commands, some 0.6 GB."""
 _LOOK_EVERY = 1 << 14
@@ -86,7 +88,18 @@ def read_recording(
     if command is None or drive not in command:
         return measurement, problems
     channels = dict(measurement.channels)
-    channels[COMMANDED_CURRENT] = commanded_current(command.time_s, command[drive], measurement.time_s)
+    commanded = commanded_current(command.time_s, command[drive], measurement.time_s)
+    logged = HEATER_CURRENT if device is not None else drive
+    if logged in measurement:
+        alone = _left_alone(command.time_s, measurement.time_s) & np.isfinite(measurement[logged])
+        commanded[alone] = np.nan
+        if alone.any():
+            text = (
+                f"{np.count_nonzero(alone)} samples come more than {_HELD:g} periods after the command before them: there the "
+                "logged values are taken as the drive"
+            )
+            problems.append(Problem("uncommanded", f"{namespace.rstrip('/')}/command", text))
+    channels[COMMANDED_CURRENT] = commanded
     unread = _unread(command.time_s, command[drive], measurement.time_s)
     return Recording(measurement.time_s, channels, measurement.device, unread), problems
 
@@ -193,6 +206,18 @@ def _unread(
     instants, last = _last_before(command_time_s, time_s, missing=True)
     own = (last >= 0) & (instants - command_time_s[last] < _HELD * period)
     return instants[own], command[last[own]]
+
+
+def _left_alone(command_time_s: NDArray[np.float64], time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which samples (n,) no command governs any more although one came for most: who drives goes to a safe value then."""
+    last = np.searchsorted(command_time_s, time_s, side="left") - 1
+    if time_s.size < 2 or not np.any(last >= 0):
+        return np.zeros(time_s.size, dtype=bool)
+    between = np.count_nonzero((time_s >= command_time_s[0]) & (time_s <= command_time_s[-1]))
+    if command_time_s.size < max(_SOME, _FOR_MOST * between):
+        return np.zeros(time_s.size, dtype=bool)
+    age = time_s - command_time_s[np.maximum(last, 0)]
+    return np.asarray((last >= 0) & (age > _HELD * np.median(np.diff(time_s))))
 
 
 def _topic_of(role: str, namespace: str, samples: dict[str, Samples], problems: list[Problem]) -> str | None:

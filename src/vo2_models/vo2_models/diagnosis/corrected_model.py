@@ -6,7 +6,7 @@ written as those effects of the catalogue that come nearest to it. They describe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from vo2_models.diagnosis.drift import drift_of
 from vo2_models.diagnosis.held_out import HeldOut, block_folds, held_out
-from vo2_models.diagnosis.nominal import THERMAL
+from vo2_models.diagnosis.nominal import THERMAL, Nominal
 from vo2_models.diagnosis.nuisance import Constant
 from vo2_models.diagnosis.pairs import Option, option_of, pair_of
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.stages import Study
+from vo2_models.effects import effects as records
 from vo2_models.hysteresis.law import Law
 from vo2_models.hysteresis.laws import scaled_law
 from vo2_models.identification.bank_fit import BankShape, evaluate, fit_bank
@@ -26,7 +27,7 @@ from vo2_models.identification.loops_fit import COLD
 from vo2_models.parameters import Value
 from vo2_models.recording import RESISTANCE
 
-__all__ = ["StandIn", "corrected_parameters", "stand_in"]
+__all__ = ["CorrectedModel", "StandIn", "corrected_model", "stand_in"]
 
 Floats = NDArray[np.float64]
 WORTH = 0.05
@@ -55,6 +56,22 @@ class StandIn:
             f"corrected_model.yaml carries what has no name by the terms that come nearest, {names}: on blocks that they "
             f"were not fitted on they remove {100 * self.judged.share:.0f} % of the excess; they describe, and name nothing"
         )
+
+
+@dataclass(frozen=True)
+class CorrectedModel:
+    """What is written down.
+
+    Attributes
+    ----------
+    parameters : of the model file
+    unnamed : terms in it that stand for what has no name; None for none
+    nrmse : channel -> root mean square of what it leaves of the recordings, over the channel's range
+    """
+
+    parameters: Mapping[str, Value]
+    unnamed: StandIn | None
+    nrmse: Mapping[str, float]
 
 
 def stand_in(study: Study) -> StandIn | None:
@@ -90,54 +107,112 @@ def stand_in(study: Study) -> StandIn | None:
     return best if best.judged.share > WORTH else None
 
 
-def corrected_parameters(study: Study, unnamed: StandIn | None = None) -> dict[str, Value]:
-    """Return the model's parameters with effects and moved constants (none of them, and it is the model itself).
+def corrected_model(study: Study) -> CorrectedModel:
+    """Return the model with effects and moved constants, as far as the recordings are followed better by it.
+
+    What a diagnosis leaves, it leaves beside loops that it lets change a little, and beside constants that are not told. A
+    file does not hold all that. Written down are effects and told constants; with those that the fit moved beside them, or
+    with loops fitted anew as well, where that is nearer to the recordings.
 
     Parameters
     ----------
     study : what was found
-    unnamed : what stands for an excess without a name
     """
-    flat, decision = dict(study.located.nominal.parameters), study.decision
+    as_it_is = dict(study.located.nominal.parameters)
+    before = _judged(study, as_it_is)
     if study.verdict == "agrees":
-        return flat
+        return CorrectedModel(as_it_is, None, before[1])
+    unnamed = stand_in(study)
+    best, least = as_it_is, before
+    for parameters in _written(study, unnamed):
+        judged = _judged(study, parameters)
+        if judged[0] < (1.0 - WORTH) * least[0]:
+            best, least = parameters, judged
+    if unnamed is not None and best is as_it_is:
+        unnamed = None
+    return CorrectedModel(best, unnamed, least[1])
+
+
+def _judged(study: Study, parameters: Mapping[str, Value]) -> tuple[float, dict[str, float]]:
+    """Squared residual of the recordings over their noise, and of each channel the root mean square over its range."""
+    problem = study.located.problem
+    nominal = Nominal.from_parameters(parameters)
+    # periodic interference was taken out of what is compared
+    kept = {
+        k: v for k, v in nominal.model.effects.items() if "line" not in records()[k.partition(":")[0]].hooks
+    }
+    nominal = replace(nominal, model=replace(nominal.model, effects=kept), corrections={})
+    responses = [nominal.respond(part.current, part.dt, settled=part.settled) for part in problem.parts]
+    total, squares, counts = 0.0, dict[str, float](), dict[str, int]()
+    for row in problem.rows:
+        part = problem.parts[row.part]
+        valid = part.valid[row.channel]
+        left = (part.observed[row.channel] - responses[row.part].channels[row.channel])[valid]
+        square = float(left @ left)
+        total += square / study.located.nominal.noise[row.channel].level ** 2
+        squares[row.channel] = squares.get(row.channel, 0.0) + square
+        counts[row.channel] = counts.get(row.channel, 0) + left.size
+    errors = {c: np.sqrt(squares[c] / counts[c]) / nominal.span[c] for c in squares if counts[c]}
+    return total, errors
+
+
+def _written(study: Study, unnamed: StandIn | None) -> Iterator[dict[str, Value]]:
+    """Parameters with what was found, and what else may be beside it."""
+    flat, decision = dict(study.located.nominal.parameters), study.decision
     final, chosen = decision.final, decision.chosen
     if unnamed is not None:
         final, chosen = unnamed.option.final, unnamed.option.chosen
     model = study.located.nominal.model
     shown = {key: values for evident in study.reading.evident for key, values in evident.effects.items()}
     rest = final.residual - chosen.deviation if chosen else final.residual
-    # where the whole nominal device is fitted anew, or effects only stand in, all constants belong to the fit
-    together = final.refits or unnamed is not None
-    values = final.moved(drift_of(final, rest).weights if together else _moves(study, rest))
+
+    def with_constants(moves: Floats, laws: Mapping[str, Law]) -> dict[str, Value]:
+        values = final.moved(moves)
+        zero, gain = values.get("deflection.zero", 0.0), values.get("deflection.gain", 1.0)
+        moved = replace(
+            model,
+            effects={**model.effects, **(chosen.effects if chosen else {}), **shown},
+            scalars={**model.scalars, **{name: values[name] for name in THERMAL if name in values}},
+            deflection=_scaled(laws["deflection"], gain, zero),
+            # the law is that of -log10 R, the constant 1 + ln gain
+            resistance=_scaled(
+                laws["resistance"], 1.0, (1.0 - values.get("resistance.gain", 1.0)) / np.log(10.0)
+            ),
+        )
+        return moved.to_parameters()
+
     laws = {"resistance": model.resistance, "deflection": model.deflection}
-    if final.refits:
-        laws |= _refitted(final, rest, laws)
-        # what the calibration left over was left over by the loops as they were
-        flat = {name: value for name, value in flat.items() if not name.startswith("model.enrichment.")}
-    zero, gain = values.get("deflection.zero", 0.0), values.get("deflection.gain", 1.0)
-    model = replace(
-        model,
-        effects={**model.effects, **(chosen.effects if chosen else {}), **shown},
-        scalars={**model.scalars, **{name: values[name] for name in THERMAL if name in values}},
-        deflection=_scaled(laws["deflection"], gain, zero),
-        # the law is that of -log10 R, the constant 1 + ln gain
-        resistance=_scaled(
-            laws["resistance"], 1.0, (1.0 - values.get("resistance.gain", 1.0)) / np.log(10.0)
-        ),
+    together = drift_of(final, rest).weights
+    # where the whole nominal device is fitted anew, or effects only stand in, all constants belong to the fit
+    if not final.refits and unnamed is None:
+        told = _told(study)
+        only = np.array([c in told for c in final.constants])
+        moves = _moves(study, rest, told)
+        yield flat | with_constants(np.where(only, moves, 0.0), laws)
+        yield flat | with_constants(moves, laws)
+    else:
+        yield flat | with_constants(together, laws)
+    # what the calibration left over was left over by the loops as they were
+    bare = {name: value for name, value in flat.items() if not name.startswith("model.enrichment.")}
+    refitted = _refitted(final, rest, laws)
+    if refitted:
+        yield bare | with_constants(together, laws | refitted)
+
+
+def _told(study: Study) -> tuple[Constant, ...]:
+    """The constants that are told to have moved."""
+    drift, limits = study.decision.drift, study.limits
+    return (
+        drift.fewest(limits.drift_p, limits.rival)[0].constants if drift.significant(limits.drift_p) else ()
     )
-    return flat | model.to_parameters()
 
 
-def _moves(study: Study, rest: Floats) -> Floats:
+def _moves(study: Study, rest: Floats, told: tuple[Constant, ...]) -> Floats:
     """Moves (t,) of the constants that a residual (N,) leads to: of those that drift, the ones that are told alone.
 
     Free together they trade, and on another path what one takes from another does not cancel.
     """
-    told: tuple[Constant, ...] = ()
-    final, drift, limits = study.decision.final, study.decision.drift, study.limits
-    if drift.significant(limits.drift_p):
-        told = drift.fewest(limits.drift_p, limits.rival)[0].constants
+    final = study.decision.final
     free = [not c.drifts or c in told for c in final.constants]
     nuisance = replace(final.nuisance, thermal=final.nuisance.thermal * free)
     return drift_of(replace(final, nuisance=nuisance), rest).weights

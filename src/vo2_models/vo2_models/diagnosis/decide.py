@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -62,6 +62,8 @@ class Decision:
         that are together as likely as a name has to be, see `report.equally_likely`
     ahead : whether all others of `equivalent` leave more than `chosen` by many standard deviations
     held : where what is named stands in the place of moved constants
+    taken_up : channels that are that many times the calibration's held-out error from the model as it is, where moved constants
+        and loops together take it up and none is told; empty elsewhere
     """
 
     verdict: Literal["agrees", "drifted", "differs"]
@@ -81,6 +83,7 @@ class Decision:
     equivalent: tuple[str, ...] = ()
     ahead: bool = False
     held: Held | None = None
+    taken_up: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -270,11 +273,17 @@ def _unnamed(
             mimics = _mimics_of_constants(scores, limits, found.singles)
             where = tuple(breakdown(problem, problem.nuisance.thermal @ drift.weights, floor=0.0))
             proposal = by_hand(mimics)
+    taken_up: dict[str, float] = {}
+    if verdict_word == "agrees" and located.own_misfit and not first_use:
+        judged = verdict.judged
+        far = {c: judged.before[c] / judged.floor[c] for c in located.own_misfit}
+        taken_up = {c: ratio for c, ratio in far.items() if ratio > limits.as_it_is}
+        verdict_word = "differs" if taken_up else verdict_word
     return Decision(
         verdict=verdict_word, final=problem, chosen=None, judged=verdict.judged, rivals=verdict.rivals,
         remaining_excess=verdict.remaining, unnamed=unnamed, breakdown=where, rival_pairs=(), proposal=proposal,
         drift=drift, mimics=mimics, adequacy=verdict.adequacy,
-        unlike_noise=loud and unnamed is None,
+        unlike_noise=loud and unnamed is None, taken_up=taken_up,
     )  # fmt: skip
 
 

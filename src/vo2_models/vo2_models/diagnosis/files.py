@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from vo2_models.diagnosis.corrected_model import StandIn, corrected_parameters, stand_in
+from vo2_models.diagnosis.corrected_model import CorrectedModel, StandIn, corrected_model
 from vo2_models.diagnosis.page import report_page
 from vo2_models.diagnosis.report import assemble_diagnosis, in_own_names
 from vo2_models.diagnosis.result import Diagnosis, validate
@@ -15,6 +15,9 @@ from vo2_models.io import write_whole
 from vo2_models.model_file import save_model_parameters
 
 __all__ = ["write_results"]
+
+FARTHER = 1.5
+"""What a corrected model leaves, over what the diagnosis does, from which it is told."""
 
 
 def write_results(
@@ -35,24 +38,26 @@ def write_results(
     OSError : the disk is full or the folder cannot be written; names the file.
     """
     diagnosis = assemble_diagnosis(study)
-    unnamed = stand_in(study)
+    corrected = corrected_model(study)
+    unnamed = corrected.unnamed
     said = [in_own_names(unnamed.in_words(), study)] if unnamed else []
     if study.decision.verdict == "differs" and study.decision.chosen is None and not unnamed:
         said = [
             "corrected_model.yaml has no correction of what has no name: no term of the catalogue comes near it"
         ]
+    if study.verdict != "agrees":
+        said += _farther_off(corrected, diagnosis, study)
     diagnosis = replace(
         diagnosis, limits=[*problems, *diagnosis.limits, *said], seconds=seconds or diagnosis.seconds
     )
     report = report_page(study, diagnosis)
-    corrected = corrected_parameters(study, unnamed)
     # nothing is written before everything is known to be sound
     validate(diagnosis.to_dict())
     names = ", ".join(e.id for e in diagnosis.effects) or "none"
     moved = ", ".join(m.constant for m in diagnosis.moved) or "none"
     save_model_parameters(
         folder / "corrected_model.yaml",
-        corrected,
+        corrected.parameters,
         comment=f"Effects added by diagnose: {names}{_standing(unnamed)}; constants moved: {moved}",
     )
     write_whole(folder / "report.html", report)
@@ -63,3 +68,17 @@ def write_results(
 def _standing(unnamed: StandIn | None) -> str:
     """What stands for the unknown in the file."""
     return f" (described by {', '.join(unnamed.option.chosen.keys)})" if unnamed else ""
+
+
+def _farther_off(corrected: CorrectedModel, diagnosis: Diagnosis, study: Study) -> list[str]:
+    """A sentence for what the file leaves where that is more than the diagnosis leaves with loops corrected beyond their law."""
+    told = []
+    for channel, nrmse in corrected.nrmse.items():
+        name = in_own_names(channel, study)
+        fit = diagnosis.fit.get(name)
+        if fit and nrmse > FARTHER * max(fit.nrmse_after, fit.noise_floor):
+            told.append(
+                f"corrected_model.yaml by itself leaves {100 * nrmse:.2g} % of the range in {name}; the "
+                f"{100 * fit.nrmse_after:.2g} % of the answer are left beside corrections of the loops that no law holds"
+            )
+    return told

@@ -83,6 +83,12 @@ class Limits:
         "near it is by the above: a slow drift is small and unlike a misfit; of 220 unchanged or moved devices of five looked-at "
         "draws without body the largest were 21, 9.9 and 6.0",
     )
+    as_it_is: float = _limit(
+        6.5,
+        "on a device without body, distance of a recording from the model as it is, over the fit's error on held-out parts of "
+        "its calibration, from which they do not agree though moved constants and loops together take it up: of some eighty "
+        "unchanged and remounted devices of four looked-at draws the largest were 5.8, 3.8, 3.6 and 3.5",
+    )
     told: float = _limit(
         0.75,
         "on a device without body, share of the samples that an explanation may be judged by, where it brings them from beyond "

@@ -13,6 +13,7 @@ from vo2_models.diagnosis.breakdown import Breakdown, breakdown
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.loop_shape import loop_shapes, open_shapes
 from vo2_models.diagnosis.misfit import NO_MISFIT
+from vo2_models.diagnosis.moved_alone import nearest_constant
 from vo2_models.diagnosis.noise import fit_noise
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
@@ -27,6 +28,8 @@ SETTLED, SETTLED_BESIDE = 0.002, 0.02
 """Relative drop of chi-square with which moving the constants further ends: by themselves, and beside a large effect."""
 BESIDE = 5.0
 """Chi-square over samples from which constants follow an effect that is no move of them, and are not sought further."""
+WENT = 10.0
+"""Move of a constant, in units of what the simulation is linear over, from which the way to it may have led astray."""
 FLAT = 10.0
 """Change of chi-square that is none."""
 SLOW, FURTHER = 3, 0.25
@@ -101,6 +104,7 @@ def _locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
         say=clock.say,
     )
     problem = _relinearise_constants(nominal, problem, limits, clock)
+    problem = _about_one_constant(nominal, problem, limits, clock)
     nominal, problem = _refine_noise_model(nominal, problem, reading, limits, clock)
     problem = _relinearise_constants(nominal, problem, limits, clock)
     remaining = problem.apply_inverse_covariance(problem.residual)
@@ -185,6 +189,33 @@ def _relinearise_constants(
             break
         problem = moved
     return problem
+
+
+def _about_one_constant(
+    nominal: Nominal, problem: LinearisedProblem, limits: Limits, clock: Clock
+) -> LinearisedProblem:
+    """Move to the one constant that brings the simulation nearest, if the refit from there leaves next to nothing.
+
+    A room that is 4 K warmer is too far for linear steps beside loops that may change a little: what they leave would be taken
+    for an effect, a laser that heats all the time for one.
+    """
+    left = problem.residual_chi_square / problem.count
+    far = left > BESIDE or (left > 1.0 + limits.slack and problem.curved(problem.origin) > WENT)
+    if problem.refits or not far or not nominal.model.description.has_body:
+        return problem
+    clock.say("moving constants one by one")
+    there = linearise_problem(
+        nominal,
+        problem.parts,
+        constants=problem.constants,
+        shift=nearest_constant(problem),
+        shapes=problem.shapes,
+        say=clock.say,
+    )
+    there = _relinearise_constants(nominal, there, limits, clock)
+    # where much is left it is an effect, beside which a constant would stand for a part of it
+    most = min(BESIDE * there.count, problem.residual_chi_square - FLAT)
+    return there if there.residual_chi_square < most else problem
 
 
 def _refine_noise_model(

@@ -7,7 +7,8 @@ no accident, and the loops have not changed.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from vo2_models.diagnosis.drift import Drift, drift_of
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.problem import LinearisedProblem
 
-__all__ = ["moved_alone"]
+__all__ = ["moved_alone", "nearest_constant"]
 
 Floats = NDArray[np.float64]
 MOST = 3
@@ -25,6 +26,64 @@ _TRIED, _ROUNDS, _HALVES = 3, 6, 4
 """Constants tried at each place, steps of each search, and halvings of a step that leads nowhere."""
 _ENOUGH = 1e-3
 """Relative drop of the squared residual with which a search ends."""
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Constants are moved with the loops as the calibration left them.
+
+    Attributes
+    ----------
+    problem : without effects
+    """
+
+    problem: LinearisedProblem
+
+    @cached_property
+    def _begin(self) -> Floats:
+        """Whitened residual (N,) of the simulation that the problem is linearised about."""
+        return self.problem.residual - self.problem.nuisance.thermal @ self.problem.origin
+
+    def left(self, shift: Floats) -> Floats:
+        """Whitened residual (N,) with constants moved by `shift` (t,)."""
+        return np.asarray(self._begin - self.problem.stack(self.problem.responses({}, shift)))
+
+    def columns(self, shift: Floats, places: list[int], here: Floats) -> Floats:
+        """Whitened change (N, m) of the simulation per unit of each constant."""
+        found = []
+        for k in places:
+            step = self.problem.constants[k].straight
+            found.append((here - self.left(shift + step * np.eye(shift.size)[k])) / step)
+        return np.stack(found, axis=1)
+
+    def searched(self, start: Floats, places: list[int]) -> tuple[Floats, Floats]:
+        """Where Gauss's and Newton's steps of some constants lead, and the residual there."""
+        shift, here = start, self.left(start)
+        for _ in range(_ROUNDS):
+            along = np.linalg.lstsq(self.columns(shift, places, here), here, rcond=None)[0]
+            before = float(here @ here)
+            for half in range(_HALVES):
+                trial = shift.copy()
+                trial[places] += along * 0.5**half
+                there = self.left(trial)
+                if there @ there < before:
+                    shift, here = trial, there
+                    break
+            if before - here @ here < _ENOUGH * before:
+                break
+        return shift, here
+
+
+def nearest_constant(problem: LinearisedProblem) -> Floats:
+    """Return the move (t,) of the one constant that brings the simulation nearest to recordings.
+
+    Parameters
+    ----------
+    problem : without effects
+    """
+    search, start = _Search(problem), np.zeros(len(problem.constants))
+    found = [search.searched(start, [k]) for k, c in enumerate(problem.constants) if c.drifts]
+    return min(found, key=lambda one: float(one[1] @ one[1]))[0]
 
 
 def moved_alone(problem: LinearisedProblem, limits: Limits, *, rival: float = 0.0) -> Drift | None:
@@ -52,34 +111,8 @@ def moved_alone(problem: LinearisedProblem, limits: Limits, *, rival: float = 0.
     # how well the calibration has told each, in units of its move
     told = {c.name: c.spread for c in problem.constants if not c.drifts}
     known = [told.get(c.name, 0.0) / c.spread for c in problem.constants]
-    begin = problem.residual - problem.nuisance.thermal @ problem.origin
-
-    def left(shift: Floats) -> Floats:
-        return np.asarray(begin - problem.stack(problem.responses({}, shift)))
-
-    def columns(shift: Floats, places: list[int], here: Floats) -> Floats:
-        """Whitened change (N, m) of the simulation per unit of each constant."""
-        found = []
-        for k in places:
-            step = problem.constants[k].straight
-            found.append((here - left(shift + step * np.eye(shift.size)[k])) / step)
-        return np.stack(found, axis=1)
-
-    def searched(start: Floats, places: list[int]) -> tuple[Floats, Floats]:
-        shift, here = start, left(start)
-        for _ in range(_ROUNDS):
-            along = np.linalg.lstsq(columns(shift, places, here), here, rcond=None)[0]
-            before = float(here @ here)
-            for half in range(_HALVES):
-                trial = shift.copy()
-                trial[places] += along * 0.5**half
-                there = left(trial)
-                if there @ there < before:
-                    shift, here = trial, there
-                    break
-            if before - here @ here < _ENOUGH * before:
-                break
-        return shift, here
+    search = _Search(problem)
+    left, columns, searched = search.left, search.columns, search.searched
 
     def drift_to(shift: Floats, here: Floats, places: list[int]) -> Drift:
         """With covariance (m, m) widened for misfit over long stretches."""

@@ -123,10 +123,18 @@ class LinearisedProblem:
         return found
 
     def energy_by_channel(self, vector: Floats, left: Floats) -> dict[str, float]:
-        """Each channel's part of a whitened vector's (N,) chi-square; `left` (N,) is what the nuisance model leaves of it."""
+        """Each channel's part of a whitened residual's (N,) chi-square; `left` (N,) is what the nuisance model leaves of it.
+
+        What moved constants cost, about which everything is linear, channels share by their samples. Split by what the move does
+        in each, one would have far too much and another less than nothing.
+        """
+        moved = self.nuisance.thermal @ self.origin * (not self.refits)
+        vector, cost = vector - moved, float(moved @ left) / max(self.count, 1)
         found: dict[str, float] = {}
         for row in self.rows:
-            found[row.channel] = found.get(row.channel, 0.0) + float(vector[row.where] @ left[row.where])
+            own = float(vector[row.where] @ left[row.where])
+            own += cost * int(np.count_nonzero(self.weight[row.where]))
+            found[row.channel] = found.get(row.channel, 0.0) + own
         return found
 
     def responses(

@@ -94,6 +94,7 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
             *_mimics(study),
             *_in_place_of_constants(study),
             *_sure(study),
+            *_scattered_ends(study),
         ],
         not_excited=list(study.search.not_excited) if verdict != "agrees" or study.reading.first_use else [],
         excess=_excess(study),
@@ -764,6 +765,17 @@ def _floor(study: Study) -> str:
     return "the noise"
 
 
+def _scattered_ends(study: Study) -> list[str]:
+    """Beside a range that ends, where the values do not say so by themselves: that no converter scatters at its end."""
+    chosen = study.decision.chosen
+    ended = [h for h in chosen.hypotheses if h.record.id == "adc_saturation"] if chosen else []
+    return [
+        f"the values at the end of the range of {one.signal} scatter, and a converter at its limit gives one value: something "
+        "before the noise comes in may be at its end, such as a stop that the device meets or an amplifier"
+        for one in ended
+    ]
+
+
 def _device_in_words(study: Study) -> str:
     """What says that a recording is of another device, before all else."""
     return "".join(f"{f.text}. " for f in study.reading.findings if f.kind == "device")
@@ -783,6 +795,13 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
         return (
             f"The same physics, constants have moved{_of_what(study)}: {moved}. With them simulation and recording agree: the "
             f"residual exceeds {_floor(study)} by {power:.0f} % of its power, {_why_enough(study)}."
+        )
+    if decision.taken_up:
+        far = max(decision.taken_up, key=lambda c: decision.taken_up[c])
+        return (
+            f"Simulation and recording differ, most in {far}: the model as it is misses it by {decision.taken_up[far]:.2g} times "
+            "the error of the fit on held-out parts of its calibration. Moved constants and changed loops together take that up, "
+            "and none of them surely: nothing is named and no constant told."
         )
     # as `location` has it, whose shares are of energy; of a short channel the power may be higher. A channel that constants
     # have taken below its noise is none in which anything differs
