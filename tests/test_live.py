@@ -120,6 +120,28 @@ def test_the_page_gets_what_the_simulation_expects(model_file):
     assert row[8] == pytest.approx(recording["tip_deflection"][58], abs=1e-6)
 
 
+def test_a_device_of_ones_own_is_shown_in_its_units_whatever_its_channels_are_called(tmp_path):
+    (tmp_path / "stack.yaml").write_text(
+        "schema: vo2-device/1\nid: stack\ndrive: {channel: volts, unit: V, limits: [0.0, 60.0]}\n"
+        "responses:\n  force: {unit: N, range: [0.0, 90.0]}\n"
+    )
+    with bench(["--ros-args", "-p", "port:=0", "-p", f"preset:={tmp_path / 'stack.yaml'}"]) as rig:
+        node = rig.add(LiveNode)
+        assert isinstance(node, LiveNode)
+        told = json.loads(request(node.port, "GET", "/device").read())
+        assert told["drive"] == ["volts", "V"] and told["response"] == ["force", "N"]
+        assert (
+            told["drive_range"] == [0.0, 60.0] and told["resistance_ohm"] is None and told["length_m"] is None
+        )
+        for k, (drive, response) in enumerate(
+            [("heater_current", "tip_deflection"), ("volts", "force"), ("volts", "force")]
+        ):
+            rig.say("/vo2/measurement", k * MS, {drive: 20.0 + k, response: 40.0 + k})
+            rig.spin(0.05)
+        rows = json.loads(node._frames.since(1)[1])["rows"] + json.loads(node._frames.since(0)[1])["rows"]
+    assert [row[1:4] for row in rows] == [[21.0, None, 41.0], [21.0, None, 41.0]]
+
+
 def test_the_graph_reaches_the_page(live):
     rig, node = live
     for k in range(5):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 
 from rclpy.node import Node
 from std_msgs.msg import Bool
@@ -45,6 +46,30 @@ LIVE_PARAMETERS = (
 )
 
 
+_MEASURED = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)
+
+
+class _Either:
+    """Reads channels that have one of two names.
+
+    Parameters
+    ----------
+    names : of each channel its name in the contract and in the device file
+    """
+
+    def __init__(self, names: Sequence[tuple[str, str]]) -> None:
+        self._names = names
+        self._reader = SampleReader([name for pair in names for name in pair])
+
+    def read(self, data: bytes) -> tuple[int, list[float]]:
+        """Return stamp [ns] and values, NaN where neither name is there."""
+        stamp_ns, values = self._reader.read(data)
+        first, second = values[::2], values[1::2]
+        return stamp_ns, [
+            a if self._reader.has(n[0]) else b for n, a, b in zip(self._names, first, second, strict=True)
+        ]
+
+
 class LiveNode(Node):
     """Samples in, a page out."""
 
@@ -56,13 +81,12 @@ class LiveNode(Node):
         self._diagnostics = Diagnostics(self)
         self._frames = Frames()
         self._last_ns = -1
-        names = device.names
-        self._measurement = SampleReader(
-            [names.get(role, role) for role in (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)]
-        )
+        names, units = device.names, device.units
         tip = names.get(TIP_DEFLECTION, TIP_DEFLECTION)
-        self._estimate = SampleReader([tip, f"{tip}_bound"])
-        self._reference = SampleReader([tip])
+        # the graph has the contract's names; a node of somebody else may call them as the device file does
+        self._measurement = _Either([(role, names.get(role, role)) for role in _MEASURED])
+        self._estimate = _Either([(f"{TIP_DEFLECTION}{end}", f"{tip}{end}") for end in ("", "_bound")])
+        self._reference = _Either([(TIP_DEFLECTION, tip)])
         SampleInput(self, MEASUREMENT, self._on_measurement, self._diagnostics)
         SampleInput(self, ESTIMATE, self._on_estimate, self._diagnostics)
         SampleInput(self, REFERENCE, self._on_reference, self._diagnostics, latched=True, steady=False)
@@ -73,7 +97,10 @@ class LiveNode(Node):
             "id": device.id,
             "length_m": device.length if math.isfinite(device.length) else None,
             "deflection_m": (0.0, device.deflection_range),
-            "resistance_ohm": device.resistance_range,
+            "resistance_ohm": device.resistance_range if RESISTANCE in device.channels else None,
+            "drive_range": sorted(device.current_range),
+            "drive": (device.drive_channel, device.drive_unit),
+            "response": (tip, units.get(TIP_DEFLECTION, "m")),
             "model": self._beside is not None,
         }
         try:

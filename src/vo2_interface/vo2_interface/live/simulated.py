@@ -45,19 +45,10 @@ class SimulatedBeside:
 
     Parameters
     ----------
-    model : of the device; its commands must govern the interval that they start, as in this graph
-
-    Raises
-    ------
-    ValueError : a model of recordings with another convention.
+    model : of the device. What is measured of the drive stands where it acted, whatever its recordings say of commands
     """
 
     def __init__(self, model: DeviceModel) -> None:
-        if model.command_delay:
-            raise ValueError(
-                f"model: found recording.command_delay {model.command_delay:g} s, need 0: the model of recordings in which a "
-                "command governs the interval that it starts"
-            )
         device = model.description
         self._model = model
         self._period = device.sample_period
