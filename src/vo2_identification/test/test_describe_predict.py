@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import yaml
 from vo2_identification.bags import read_bag, write_bag
-from vo2_models.device import preset
+from vo2_models.device import DeviceModel, preset
 from vo2_models.hysteresis.preisach import PreisachOperator
+from vo2_models.prediction import predict as predicted
 from vo2_models.recording import Recording
 
 import vo2_models as vo2
@@ -104,10 +105,22 @@ def test_a_bag_is_predicted_and_compared(folder, capsys):
         measured["extension"] < found["extension_upper"]
     )
     assert inside.mean() > 0.9
+    assert found["extension_measured"] == pytest.approx(measured["extension"])
     bag = read_bag(output / "bag", roles=("measurement",), channels=None)[0]["measurement"]
     assert bag["extension"] == pytest.approx(found["extension"]) and bag.device == "stack_07"
     page = (output / "report.html").read_text(encoding="utf-8")
     assert "drive_voltage" in page and page.count("<svg") == 1
+
+
+def test_a_prediction_stands_at_the_stamps_of_a_rig_that_counts_anew_behind_a_late_sample(folder):
+    recording = _rig(400)
+    late = np.cumsum(np.where(np.arange(400) % 20 == 19, 0.3 * DT, 0.0))
+    stamps = recording.time_s + late
+    model = DeviceModel.load(folder / "model.yaml")
+    channels = {"drive_voltage": recording["drive_voltage"], "extension": recording["extension"]}
+    rig = model.description.in_roles(Recording(stamps, channels, ""))
+    assert predicted(model, rig).time_s == pytest.approx(stamps, abs=1e-9)
+    assert late[-1] > 5.0 * DT
 
 
 def test_a_table_and_a_written_drive_are_predicted(folder, tmp_path):

@@ -89,6 +89,8 @@ def predicted_recording(prediction: Prediction, device: DeviceDescription) -> Re
     for role, one in prediction.channels.items():
         name = device.names[role]
         channels |= {name: one.value, f"{name}_lower": one.lower, f"{name}_upper": one.upper}
+        if one.measured is not None:
+            channels[f"{name}_measured"] = one.measured
     return Recording(prediction.time_s, channels, device.id)
 
 

@@ -9,8 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device.model import DeviceModel
-from vo2_models.identification.grid import on_grid
-from vo2_models.recording import HEATER_CURRENT, RESISTANCE, Recording, aligned
+from vo2_models.identification.grid import GriddedRecording, on_grid
+from vo2_models.recording import (
+    HEATER_CURRENT,
+    JITTERED,
+    RESISTANCE,
+    Recording,
+    aligned,
+    clock_of,
+    counted,
+    jitter_of,
+)
 
 __all__ = ["ChannelPrediction", "Prediction", "predict"]
 
@@ -48,7 +57,8 @@ class Prediction:
 
     Attributes
     ----------
-    time_s : (n,) regular stamps [s]
+    time_s : (n,) stamps [s]: those of the recording, where one is missing between its neighbours; the instants of a clock that
+        it follows
     drive : (n,) what drove the model, in the drive's unit
     channels : role -> prediction
     settled : whether the model was started settled at the first drive instead of from a cold rest
@@ -99,11 +109,21 @@ def predict(model: DeviceModel, recording: Recording) -> Prediction:
         settled = beginning(other) < beginning(outputs)
         outputs = other if settled else outputs
     return Prediction(
-        grid.start + grid.dt * np.arange(grid.current.size, dtype=np.float64),
+        _stamps(recording, grid),
         grid.current,
         {role: _compared(model, role, outputs[role], grid.measured.get(role)) for role in roles},
         settled,
     )
+
+
+def _stamps(recording: Recording, grid: GriddedRecording) -> Floats:
+    """Stamps (n,) of a grid's instants [s]: who begins to count anew behind a late sample drifts away from regular ones."""
+    known = recording.with_unread()
+    instants = np.arange(grid.current.size, dtype=np.float64)
+    place = counted(known.time_s)[2]
+    if clock_of(known) or jitter_of(known.time_s) > JITTERED or place[-1] != instants[-1]:
+        return grid.start + grid.dt * instants
+    return np.interp(instants, place, known.time_s)
 
 
 def _compared(model: DeviceModel, role: str, value: Floats, measured: Floats | None) -> ChannelPrediction:

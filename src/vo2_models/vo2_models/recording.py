@@ -13,6 +13,7 @@ from vo2_models.validation import finite_array, increasing
 __all__ = [
     "COMMANDED_CURRENT",
     "HEATER_CURRENT",
+    "JITTERED",
     "RESISTANCE",
     "STAGE_TEMPERATURE",
     "TIP_DEFLECTION",
