@@ -28,7 +28,7 @@ expects, with bounds that 95 of 100 samples should lie between. Responses that t
 """
 RESULTS = ("prediction.csv", "bag", "report.html")
 """What the command writes into its folder."""
-_FEW_INSIDE = 0.8
+_FEW_INSIDE = 0.9
 """Share of the samples within the bounds below which these are told to be too narrow."""
 _TIME = ("time_s", "time")
 

@@ -26,6 +26,7 @@ from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.report import assemble_diagnosis, moved_in_place
 from vo2_models.diagnosis.result import MovedConstant
 from vo2_models.hysteresis.preisach import PreisachOperator
+from vo2_models.identification.bank_fit import BankShape
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.prediction import predict
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
@@ -490,6 +491,16 @@ def test_a_gain_or_a_zero_that_has_moved_is_told_as_that(model, change, constant
     # the constants moved, the recording is as near to the law as the calibration's held-out parts: no lag makes up for the rest
     assert found.located.own_misfit[TIP_DEFLECTION] < found.limits.own_misfit
     assert found.search.scores and not found.search.singles
+
+
+def test_the_corrected_model_of_fewer_samples_than_its_law_has_parameters_keeps_the_loops():
+    plays = fit_model([recorded(1)], DEVICE.key, law="plays")[1]
+    found = study([recorded(2, every=16, change=lambda y: 1.3 * y)], plays)
+    law = BankShape.of_bank(found.located.nominal.model.deflection)
+    print(found.verdict, found.located.problem.count, law.vector.size)
+    assert found.verdict != "agrees" and found.located.problem.count < 2 * law.vector.size
+    written = corrected_model(found)
+    assert any(name.startswith("model.deflection.") for name in written.parameters)
 
 
 def test_beside_a_constant_that_explains_by_itself_nothing_is_named_within_the_misfit(model):

@@ -245,7 +245,8 @@ def _refitted(final: LinearisedProblem, rest: Floats, laws: Mapping[str, Law]) -
                 for part, raw in zip(columns.temperature, columns.raw, strict=True)
             ]
         )
-        found[section] = fit_bank(path, target, start, iterations=30).shape.bank()
+        if np.count_nonzero(np.isfinite(target)) >= 2 * start.vector.size:
+            found[section] = fit_bank(path, target, start, iterations=30).shape.bank()
     return found
 
 

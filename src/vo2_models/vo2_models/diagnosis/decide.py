@@ -126,7 +126,7 @@ def decide(located: Located, found: Search, reading: Reading, limits: Limits, cl
     verdict = _judged(located, found, folds, limits, clock, first_use=reading.first_use)
     if verdict.option is not None:
         return _named(located, found, verdict, verdict.option, limits, clock, one_loop=reading.one_loop)
-    return _unnamed(located, found, verdict, folds, limits, clock, first_use=reading.first_use)
+    return _unnamed(located, found, verdict, folds, limits, clock, reading)
 
 
 def without_a_name(
@@ -147,7 +147,7 @@ def without_a_name(
     remaining = located.total_excess if decision.held else decision.remaining_excess
     alone = _moved_alone(located, limits, first_use=reading.first_use)
     verdict = _Verdict(None, judged, found.singles, remaining, adequacy, shown, alone=alone)
-    return _unnamed(located, found, verdict, folds, limits, clock, first_use=reading.first_use)
+    return _unnamed(located, found, verdict, folds, limits, clock, reading)
 
 
 def _judged(
@@ -245,8 +245,7 @@ def _unnamed(
     folds: Sequence[Mask],
     limits: Limits,
     clock: Clock,
-    *,
-    first_use: bool,
+    reading: Reading,
 ) -> Decision:
     """No name: agreement, moved constants, or an excess that only a correction without a name describes."""
     problem, unnamed = located.problem, None
@@ -266,7 +265,7 @@ def _unnamed(
     if unnamed is None or (described < limits.share and _is_small(located, verdict.judged, limits)):
         # more residual than noise at most, and nothing that predicts it: the fitted loops' own misfit
         unnamed, verdict_word = None, "agrees"
-        if drift.significant(limits.drift_p) and not first_use and _shows(problem, verdict.judged):
+        if drift.significant(limits.drift_p) and not reading.first_use and _shows(problem, verdict.judged):
             verdict_word = "drifted"
             held = _with_constants_held(problem)
             scores = score(held, found.candidates, problem.residual, tick=clock.tick)
@@ -274,7 +273,8 @@ def _unnamed(
             where = tuple(breakdown(problem, problem.nuisance.thermal @ drift.weights, floor=0.0))
             proposal = by_hand(mimics)
     taken_up: dict[str, float] = {}
-    if verdict_word == "agrees" and located.own_misfit and not first_use:
+    # what the values show by themselves, steps of a converter for one, is no distance from the law
+    if verdict_word == "agrees" and located.own_misfit and not reading.first_use and not reading.evident:
         judged = verdict.judged
         far = {c: judged.before[c] / judged.floor[c] for c in located.own_misfit}
         taken_up = {c: ratio for c, ratio in far.items() if ratio > limits.as_it_is}

@@ -30,6 +30,8 @@ BESIDE = 5.0
 """Chi-square over samples from which constants follow an effect that is no move of them, and are not sought further."""
 WENT = 10.0
 """Move of a constant, in units of what the simulation is linear over, from which the way to it may have led astray."""
+BETTER = 0.5
+"""Share that a constant by itself may leave to be moved to, of the squared residual, and then of the excess."""
 FLAT = 10.0
 """Change of chi-square that is none."""
 SLOW, FURTHER = 3, 0.25
@@ -204,18 +206,21 @@ def _about_one_constant(
     if problem.refits or not far or not nominal.model.description.has_body:
         return problem
     clock.say("moving constants one by one")
+    shift, share = nearest_constant(problem)
+    if share > BETTER:
+        return problem
     there = linearise_problem(
         nominal,
         problem.parts,
         constants=problem.constants,
-        shift=nearest_constant(problem),
+        shift=shift,
         shapes=problem.shapes,
         say=clock.say,
     )
     there = _relinearise_constants(nominal, there, limits, clock)
     # where much is left it is an effect, beside which a constant would stand for a part of it
-    most = min(BESIDE * there.count, problem.residual_chi_square - FLAT)
-    return there if there.residual_chi_square < most else problem
+    most = min(BESIDE, 1.0 + BETTER * (left - 1.0))
+    return there if there.residual_chi_square < most * there.count else problem
 
 
 def _refine_noise_model(

@@ -56,6 +56,12 @@ class _Search:
             found.append((here - self.left(shift + step * np.eye(shift.size)[k])) / step)
         return np.stack(found, axis=1)
 
+    def likely(self, shift: Floats, places: list[int], here: Floats) -> list[int]:
+        """Those few of the places whose first steps promise to leave least, the likeliest first."""
+        slopes = self.columns(shift, places, here)
+        drops = (slopes.T @ here) ** 2 / np.maximum(np.sum(slopes**2, axis=0), 1e-300)
+        return [places[k] for k in np.argsort(-drops)[:_TRIED]]
+
     def searched(self, start: Floats, places: list[int]) -> tuple[Floats, Floats]:
         """Where Gauss's and Newton's steps of some constants lead, and the residual there."""
         shift, here = start, self.left(start)
@@ -74,16 +80,23 @@ class _Search:
         return shift, here
 
 
-def nearest_constant(problem: LinearisedProblem) -> Floats:
-    """Return the move (t,) of the one constant that brings the simulation nearest to recordings.
+def nearest_constant(problem: LinearisedProblem) -> tuple[Floats, float]:
+    """Return the move (t,) of the one constant that brings the simulation nearest to recordings, and what it leaves.
 
     Parameters
     ----------
     problem : without effects
+
+    Returns
+    -------
+    the move, and the squared residual there over that with no constant moved, loops as the calibration left them
     """
     search, start = _Search(problem), np.zeros(len(problem.constants))
-    found = [search.searched(start, [k]) for k, c in enumerate(problem.constants) if c.drifts]
-    return min(found, key=lambda one: float(one[1] @ one[1]))[0]
+    before = search.left(start)
+    free = [k for k, c in enumerate(problem.constants) if c.drifts]
+    found = [search.searched(start, [k]) for k in search.likely(start, free, before)]
+    shift, after = min(found, key=lambda one: float(one[1] @ one[1]))
+    return shift, float(after @ after) / float(before @ before)
 
 
 def moved_alone(problem: LinearisedProblem, limits: Limits, *, rival: float = 0.0) -> Drift | None:
@@ -137,9 +150,7 @@ def moved_alone(problem: LinearisedProblem, limits: Limits, *, rival: float = 0.
     alone: Drift | None = None
     while len(places) < MOST:
         others = [k for k in free if k not in places]
-        slopes = columns(shift, others, here)
-        drops = (slopes.T @ here) ** 2 / np.maximum(np.sum(slopes**2, axis=0), 1e-300)
-        likely = [others[k] for k in np.argsort(-drops)[:_TRIED]]
+        likely = search.likely(shift, others, here)
         trials = [(*searched(shift, [*places, k]), [*places, k]) for k in likely]
         lefts = [float(trial[1] @ trial[1]) for trial in trials]
         best, least = int(np.argmin(lefts)), min(lefts)

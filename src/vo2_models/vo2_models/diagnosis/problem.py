@@ -125,17 +125,22 @@ class LinearisedProblem:
     def energy_by_channel(self, vector: Floats, left: Floats) -> dict[str, float]:
         """Each channel's part of a whitened residual's (N,) chi-square; `left` (N,) is what the nuisance model leaves of it.
 
-        What moved constants cost, about which everything is linear, channels share by their samples. Split by what the move does
-        in each, one would have far too much and another less than nothing.
+        Where constants went far, one channel may have far too much and another less than nothing: then what the moves cost,
+        about which everything is linear, is shared by the channels' samples.
         """
-        moved = self.nuisance.thermal @ self.origin * (not self.refits)
-        vector, cost = vector - moved, float(moved @ left) / max(self.count, 1)
-        found: dict[str, float] = {}
-        for row in self.rows:
-            own = float(vector[row.where] @ left[row.where])
-            own += cost * int(np.count_nonzero(self.weight[row.where]))
-            found[row.channel] = found.get(row.channel, 0.0) + own
-        return found
+
+        def split(own: Floats) -> dict[str, float]:
+            found: dict[str, float] = {}
+            for row in self.rows:
+                found[row.channel] = found.get(row.channel, 0.0) + float(own[row.where] @ left[row.where])
+            return found
+
+        found = split(vector)
+        if self.refits or min(found.values(), default=0.0) >= 0.0:
+            return found
+        moved = self.nuisance.thermal @ self.origin
+        share = float(moved @ left) / max(self.count, 1)
+        return {c: e + share * self.count_by_channel[c] for c, e in split(vector - moved).items()}
 
     def responses(
         self, effects: Effects, shift: Floats | None = None, *, fine: bool = True

@@ -821,6 +821,8 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
         if study.reading.first_use
         else "Constants have moved besides"
     )
+    if decision.chosen is None and not study.reading.first_use:
+        lead = "The refit moved constants besides, which may stand for a part of it"
     moved = ", ".join(text for text in (moved, *_loops_in_words(study)) if text)
     tail = f" {lead}: {moved}." if moved else ""
     if decision.equivalent:
