@@ -27,6 +27,7 @@ from vo2_models.diagnosis.report import assemble_diagnosis, moved_in_place
 from vo2_models.diagnosis.result import MovedConstant
 from vo2_models.hysteresis.preisach import PreisachOperator
 from vo2_models.identification.bank_fit import BankShape
+from vo2_models.identification.calibration_check import check_calibration
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.prediction import predict
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
@@ -95,6 +96,13 @@ def test_an_unchanged_device_agrees_and_nothing_is_named(model, given, finding):
     told = assemble_diagnosis(found).summary
     assert "could not be judged" not in told and "tip_deflection" not in told
     assert not finding or finding in [f.kind for f in found.reading.findings]
+
+
+@pytest.mark.parametrize(("said", "noted"), [("stack", 0), ("/rig/stack_of_may.yaml", 0), ("press", 1)])
+def test_a_calibration_says_of_which_device_it_is(said, noted):
+    """A node that was given the path of a device file says the path: what that held then is not known."""
+    notes = check_calibration([replace(recorded(1), device=said)], DEVICE.key)[1]
+    assert len([note for note in notes if f"says that it is of device {said}" in note]) == noted
 
 
 def test_what_is_far_from_the_model_as_it_is_does_not_agree_though_constants_and_loops_take_it_up(

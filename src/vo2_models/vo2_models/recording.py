@@ -100,6 +100,11 @@ class Recording:
         return self.channels[name]
 
     @property
+    def device_id(self) -> str:
+        """Id of the device that it says it is of; "" where a node was given the path of a file: what that held is not known."""
+        return "" if self.device.endswith((".yaml", ".yml")) else self.device
+
+    @property
     def sample_period_s(self) -> float:
         """Median distance of neighbouring stamps [s]; robust against gaps."""
         return float(np.median(np.diff(self.time_s)))

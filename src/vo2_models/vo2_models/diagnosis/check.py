@@ -99,9 +99,7 @@ def check_recording(recording: Recording, nominal: Nominal, *, name: str = "reco
         raise Unusable(f"{name}: {'; '.join(units)}")
     findings = [Finding("odd", text) for text in odd]
     own = preset(nominal.device).id
-    # a node may have been given the path of a device file: what that held then is not known
-    named = recording.device and not recording.device.endswith((".yaml", ".yml"))
-    if named and recording.device != own and own not in PRESETS:
+    if recording.device_id not in ("", own) and own not in PRESETS:
         findings.append(
             Finding("device", f"{name}: says that it is of device {recording.device}, the model is of {own}")
         )

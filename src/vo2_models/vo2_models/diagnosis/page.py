@@ -31,6 +31,11 @@ BEFORE, AFTER, NOISE = "#D55E00", "#0072B2", "#999999"
 """From the palette of Okabe and Ito; line style and label carry the meaning too."""
 
 
+LINEAR, WIDE = 4.0, 5.0
+"""Standard deviations of the noise, up to the next decade, beyond which a residual's axis is logarithmic if it goes so many
+times further."""
+
+
 def report_page(study: Study, diagnosis: Diagnosis) -> str:
     """Return the self-contained HTML page.
 
@@ -121,6 +126,7 @@ def _residual_figure(study: Study) -> str:
     problem = study.located.problem
     rows = [(row, part) for row, part, _ in problem.iterate() if row.part == 0]
     after = _explained_residual(study)
+    wide = ""
     of_first = f"of the first recording, {problem.parts[0].name}, " if len(problem.parts) > 1 else ""
     with new_figure(7.2, 1.9 * len(rows) + 0.4) as figure:
         axes = np.atleast_1d(figure.subplots(len(rows), 1, sharex=True))
@@ -140,13 +146,17 @@ def _residual_figure(study: Study) -> str:
             for sign, name in ((-1, "two standard deviations of the noise"), (1, "_")):
                 axis.plot(middle, sign * level, color=NOISE, linestyle="--", linewidth=0.8, label=name)
             axis.set_ylabel(label)
+            linear = 10.0 ** np.ceil(np.log10(LINEAR * noise.level * scale))  # a decade has a tick
+            if np.max(np.abs(before * scale)) > WIDE * linear:
+                axis.set_yscale("symlog", linthresh=linear)
+                wide = " Where it goes far beyond the noise an axis is logarithmic there."
         axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
         axes[-1].set_xlabel("time / s")
         return figure_html(
             figure,
             f"Residual (measured minus simulated) {of_first}over time; each band spans the smallest and largest value of an "
             "interval. Before: by the model file as it is. After: with the correction, and the loop shape refitted within the "
-            "uncertainty of the calibration.",
+            f"uncertainty of the calibration.{wide}",
         )
 
 

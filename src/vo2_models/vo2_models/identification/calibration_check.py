@@ -59,7 +59,7 @@ def check_calibration(
         )
     for k, recording in enumerate(recordings):
         name = names[k] if k < len(names) else f"recording {k + 1}"
-        if recording.device and recording.device != nominal.id and nominal.id not in PRESETS:
+        if recording.device_id not in ("", nominal.id) and nominal.id not in PRESETS:
             notes.append(
                 f"{name}: says that it is of device {recording.device}, it is fitted as device {nominal.id}"
             )
