@@ -62,6 +62,9 @@ def test_kind_drive_runs_the_whole_model_that_fit_wrote():
             assert found[0] == pytest.approx(expected["true_tip_deflection"][k], abs=1e-15)
             assert found[1] == pytest.approx(expected["true_film_resistance"][k], rel=1e-9)
         rig.until(lambda: "without feedback from a sensor" in rig.status("estimator: model")[0])
+        # it has no bound that could grow over what it did not see
+        answer(rig, 45 * MS, {"heater_current": levels[40], "film_resistance": 1e5})
+        rig.until(lambda: "is not in the estimate" in rig.status("estimator: gaps")[0])
 
 
 def test_without_model_every_estimate_is_nan_and_the_remedy_is_told_once():

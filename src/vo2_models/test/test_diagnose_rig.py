@@ -505,7 +505,6 @@ def test_the_corrected_model_of_fewer_samples_than_its_law_has_parameters_keeps_
     plays = fit_model([recorded(1)], DEVICE.key, law="plays")[1]
     found = study([recorded(2, every=16, change=lambda y: 1.3 * y)], plays)
     law = BankShape.of_bank(found.located.nominal.model.deflection)
-    print(found.verdict, found.located.problem.count, law.vector.size)
     assert found.verdict != "agrees" and found.located.problem.count < 2 * law.vector.size
     written = corrected_model(found)
     assert any(name.startswith("model.deflection.") for name in written.parameters)
