@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, lsim
 from vo2_models.device.description import described, preset
+from vo2_models.device.model import DeviceModel
 from vo2_models.diagnosis import decide, hypotheses, report
 from vo2_models.diagnosis import search as third_stage
 from vo2_models.diagnosis.adequacy import Adequacy, adequacy_of, shown
@@ -359,7 +360,7 @@ def test_a_gain_that_walks_is_the_sensor_s(model):
     [(1e9, 1e3, 1e-4), pytest.param(1e-3, 1e-4, 1e4, marks=pytest.mark.slow)],
     ids=str,
 )
-def test_units_and_sizes_change_nothing(model, of_response, of_drive, of_time):
+def test_units_and_sizes_change_nothing(model, of_response, of_drive, of_time, monkeypatch):
     """Pascals or micrometres, hours or microseconds: a ripple of the same share of the range is the same one."""
 
     def rippled(y):
@@ -384,6 +385,10 @@ def test_units_and_sizes_change_nothing(model, of_response, of_drive, of_time):
     )
     (effect,) = (answer := assemble_diagnosis(there)).effects
     assert effect.id == "sensor_ripple" and effect.parameters["pitch"].unit == "A/m"
+    # what is named is in the file, were it next to nothing of the residual
+    monkeypatch.setattr("vo2_models.diagnosis.corrected_model.WORTH", 1.0)
+    written = corrected_model(there).parameters
+    assert any("sensor_ripple" in key for key in DeviceModel.from_parameters(written).effects)
     assert "sensor_ripple on stroke" in answer.summary
     shown = report_page(there, answer)
     assert "stroke / A/m" in shown and "deflection / um" not in shown and "film temperature" not in shown

@@ -6,7 +6,7 @@ written as those effects of the catalogue that come nearest to it. They describe
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,29 +108,40 @@ def stand_in(study: Study) -> StandIn | None:
 
 
 def corrected_model(study: Study) -> CorrectedModel:
-    """Return the model with effects and moved constants, as far as the recordings are followed better by it.
+    """Return the model with effects and moved constants, and what else brings it nearer to the recordings.
 
     What a diagnosis leaves, it leaves beside loops that it lets change a little, and beside constants that are not told. A
     file does not hold all that. Written down are effects and told constants; with those that the fit moved beside them, or
-    with loops fitted anew as well, where that is nearer to the recordings.
+    with loops fitted anew as well, where that is nearer to the recordings. Terms for what has no name are written down only
+    where they bring the model nearer.
 
     Parameters
     ----------
     study : what was found
     """
     as_it_is = dict(study.located.nominal.parameters)
-    before = _judged(study, as_it_is)
     if study.verdict == "agrees":
-        return CorrectedModel(as_it_is, None, before[1])
+        return CorrectedModel(as_it_is, None, _judged(study, as_it_is)[1])
     unnamed = stand_in(study)
-    best, least = as_it_is, before
-    for parameters in _written(study, unnamed):
-        judged = _judged(study, parameters)
-        if judged[0] < (1.0 - WORTH) * least[0]:
-            best, least = parameters, judged
-    if unnamed is not None and best is as_it_is:
-        unnamed = None
-    return CorrectedModel(best, unnamed, least[1])
+    if unnamed is not None:
+        parameters, nrmse = _nearest(study, [as_it_is, *_written(study, unnamed)])
+        if parameters is not as_it_is:
+            return CorrectedModel(parameters, unnamed, nrmse)
+    # what is told is in the file, however little of the residual it is
+    parameters, nrmse = _nearest(study, _written(study, None))
+    return CorrectedModel(parameters, None, nrmse)
+
+
+def _nearest(
+    study: Study, candidates: Iterable[dict[str, Value]]
+) -> tuple[dict[str, Value], dict[str, float]]:
+    """The first of the candidates, or a later one that leaves clearly less; with what it leaves of each channel."""
+    best, least, nrmse = dict[str, Value](), np.inf, dict[str, float]()
+    for parameters in candidates:
+        square, left = _judged(study, parameters)
+        if not best or square < (1.0 - WORTH) * least:
+            best, least, nrmse = parameters, square, left
+    return best, nrmse
 
 
 def _judged(study: Study, parameters: Mapping[str, Value]) -> tuple[float, dict[str, float]]:
