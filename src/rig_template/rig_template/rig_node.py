@@ -31,6 +31,7 @@ from vo2_interface.topics import (
     COMMANDER,
     DEFAULT_NAMESPACE,
     MEASUREMENT,
+    ONE_DEVICE,
     SAMPLE_QOS,
 )
 from vo2_models.parameters import Parameter
@@ -62,6 +63,8 @@ RIG_PARAMETERS = (
 _NS = 1_000_000_000
 _OVERRANGE = 9.9e37
 """What SCPI answers beyond a range; 9.91e37 is no number at all: Rohde & Schwarz, NGE100B User Manual, "Numeric values"."""
+_PACE_S = 1.0
+"""Time between two reports of how well the periods are kept [s]."""
 _LATE = 0.75
 """Share of a period by which a sample may be late before it counts as skipped."""
 
@@ -84,11 +87,11 @@ class RigNode(ManagedNode):
         self._stop = EmergencyStop(self, self._diagnostics)
         self._link: Link | None = None
         self._stamp_ns, self._due_s, self._drives_a = 0, 0.0, self._safe_a
-        self._timing = LoopTiming(self._period_s)
+        self._timing, self._told_s = LoopTiming(self._period_s), 0.0
         self._reader = SampleReader((*COMMAND_CHANNELS, COMMANDER))
         self._writer = SampleWriter(self._channels, preset)
         self._publisher = self.create_publisher(JointState, MEASUREMENT, SAMPLE_QOS)
-        self._diagnostics.watch_listeners(self._publisher)
+        self._diagnostics.watch_listeners(self._publisher, ONE_DEVICE)
         self._manage(self._diagnostics, autostart=self._table.flag("autostart"))
         SampleInput(self, COMMAND, self._guarded(self._on_command), self._diagnostics)
         create_steady_timer(self, self._period_s, self._guarded(self._on_tick))
@@ -229,6 +232,9 @@ class RigNode(ManagedNode):
         message = self._writer.write(self._stamp_ns, values)
         self._publisher.publish(message)
         self._diagnostics.note_sample(message)
+        if now - self._told_s >= _PACE_S:
+            self._told_s = now
+            self._diagnostics.report("pace", "ok", "wall time", self._timing.values())
 
     def _lose(self, error: LinkError) -> None:
         """End at an instrument that does not answer as it should."""

@@ -129,6 +129,23 @@ def test_wall_time_an_estimator_that_stops_leads_to_the_safe_current():
         rig.until(lambda: "nothing on estimate" in rig.status("controller: input")[0])
 
 
+def test_wall_time_a_reference_that_stops_is_told_as_that_and_nothing_else():
+    with controller("time:=wall", "rate_hz:=4.0") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        rig.add(ControllerNode)
+        after_listening(rig, 250)
+        for k in range(1, 4):
+            paced_command(rig, k, 29 * UM, period_ms=250)
+        said = len(rig.statuses)
+        for k in range(4, 12):
+            rig.say("/vo2/estimate", (START_MS + k * 250) * MS, estimate(29 * UM))
+            rig.spin(0.4 if k % 2 else 0.1)  # uneven, as from a busy process: a period may bring no sample
+        missing = {
+            text.split(":")[0] for name, text, _ in rig.statuses[said:] if name.endswith("controller: input")
+        }
+        assert missing == {"nothing on reference"}
+
+
 @pytest.mark.parametrize("phase", [0.0, 0.55, 0.8])
 def test_wall_time_the_safe_current_arrives_before_the_plant_would_hold_a_fourth_sample(phase, monkeypatch):
     """By a clock of its own, and so slow that the node's timer keeps out of it; the plant's next sample is the fifth."""

@@ -103,7 +103,7 @@ class CommandNode(ManagedNode):
         self._reference: tuple[int, float] | None = None
         self._waiting: tuple[int, tuple[float, ...]] | None = None
         self._answer = b""
-        self._input_s = -math.inf
+        self._input_s = self._heard_s = -math.inf
         self._good_ns = 0
         self._source_reader = SampleReader(channels)
         self._reference_reader = SampleReader(REFERENCE_CHANNELS)
@@ -249,7 +249,8 @@ class CommandNode(ManagedNode):
             )
             self._age = SampleAge()
             self._restart()
-        self._age.hear(stamp_ns, time.monotonic())
+        self._heard_s = time.monotonic()
+        self._age.hear(stamp_ns, self._heard_s)
         self._waiting = (stamp_ns, values)
         self._act()
 
@@ -356,7 +357,7 @@ class CommandNode(ManagedNode):
         if now - self._input_s > _LATE * self._period_s:
             # so that the next tick, early or late, tells the next missing sample
             self._input_s = now - 0.75 * self._period_s
-            missing = self._source if self._waiting is None else REFERENCE
+            missing = REFERENCE if now - self._heard_s < 2 * _LATE * self._period_s else self._source
             self._miss(self._present_ns(), f"nothing on {missing}: is its node running?")
 
     def _present_ns(self) -> int:

@@ -53,7 +53,7 @@ class CommandGate:
             applied = min(max(current_a, self._least_a), self._most_a)
             why = f"outside the {self._least_a:g} to {self._most_a:g} {self._unit} that the device bears"
         else:
-            applied, why = self._safe_a, "not finite"
+            applied, why = self._safe_a, "absent or not finite"
         self._diagnostics.report(
             "command",
             "error",

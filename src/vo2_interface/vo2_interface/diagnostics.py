@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.impl import rcutils_logger
@@ -43,6 +44,7 @@ class Diagnostics:
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, SAMPLE_QOS)
         self._present: dict[str, tuple[str, str, dict[str, str]]] = {}
         self._watched: list[Publisher] = []
+        self._sole: dict[str, str] = {}
         self._heard = b""
         self._inputs: dict[str, tuple[Callable[[], int], deque[int]]] = {}
         self._counts: dict[str, int] = {}
@@ -107,8 +109,12 @@ class Diagnostics:
         elif self.level("bonds") != "ok":
             self.report("bonds", "ok", "samples arrive on every topic again")
 
-    def watch_listeners(self, publisher: Publisher) -> None:
-        """Report on `links` how many listeners the publisher has, again and again for who comes late."""
+    def watch_listeners(self, publisher: Publisher, alone: Mapping[str, str] = MappingProxyType({})) -> None:
+        """Report on `links` how many listeners the publisher has, again and again for who comes late.
+
+        `alone` holds topics on which this node alone is to publish, and what to do where it does not: told as a warning.
+        """
+        self._sole.update(alone)
         if not self._watched:
             create_steady_timer(self._node, _WATCH_S, self._report_listeners)
         self._watched.append(publisher)
@@ -117,6 +123,12 @@ class Diagnostics:
         counts = {publisher.topic_name: publisher.get_subscription_count() for publisher in self._watched}
         self.report(_LINKS, "ok", "listeners of each topic", counts)
         self._send([_LINKS], None)
+        for topic, advice in self._sole.items():
+            others = self._node.count_publishers(topic) - 1
+            if others > 0:
+                self.report(topic.strip("/"), "warn", f"{others} more on {topic}: {advice}")
+            elif self.level(topic.strip("/")) != "ok":
+                self.report(topic.strip("/"), "ok", f"alone on {topic} again")
 
     def beat(self, stamp_ns: int | None = None) -> None:
         """Publish all present statuses again."""

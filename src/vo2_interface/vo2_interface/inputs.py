@@ -115,7 +115,9 @@ class SampleInput:
     def _refuse(self, cause: str) -> None:
         self._refused[cause] += 1
         if self._refused[cause] == 1:
-            self._tell(f"a message cannot be read and is dropped, as all alike: {'; '.join(self._refused)}")
+            self._tell(
+                f"a message cannot be used and is dropped, with all others of its kind: {'; '.join(self._refused)}"
+            )
 
     def _on_incompatible(self, event: QoSRequestedIncompatibleQoSInfo) -> None:
         """Take what a publisher offers: less than this would not be heard at all."""

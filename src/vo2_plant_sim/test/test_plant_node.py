@@ -6,6 +6,7 @@ from importlib.resources import files
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 from vo2_interface.testing import bench
 from vo2_models.device import truth
@@ -182,6 +183,20 @@ def test_another_clock_and_commands_from_another_run_are_told_once():
             name.rsplit(": ")[-1] for name, text, _ in rig.statuses if "ahead" in text or "more on" in text
         ]
         assert sorted(told) == ["clock", "command"]
+
+
+@pytest.mark.parametrize("time", ["wall", "lockstep"])
+def test_two_devices_in_one_namespace_are_told_once(time):
+    with lockstep(f"time:={time}", "rate_hz:=20.0", "clock:=false") as rig:
+        rig.add(PlantNode)
+        other = rig.node.create_publisher(JointState, "/vo2/measurement", 10)
+        rig.until(
+            lambda: "1 more on measurement: let one device publish" in rig.status("plant: measurement")[0]
+        )
+        rig.spin(1.2)
+        assert sum("more on measurement" in text for _, text, _ in rig.statuses) == 1
+        rig.node.destroy_publisher(other)
+        rig.until(lambda: rig.status("plant: measurement")[0] == "alone on measurement again")
 
 
 def test_the_plant_says_what_it_simulates_on_the_clock_of_its_samples():

@@ -38,6 +38,7 @@ from vo2_interface.topics import (
     DEFAULT_NAMESPACE,
     LOCKSTEP_QOS,
     MEASUREMENT,
+    ONE_DEVICE,
     SAMPLE_QOS,
 )
 from vo2_models.parameters import Parameter, Value
@@ -69,8 +70,6 @@ _START_NS = 1_000_000_000
 """Stamp of the first simulated sample: zero means "no time" in ROS."""
 _CLOCK_NS = 10_000_000
 _BEAT_NS = 1_000_000_000
-_CLOCKS_S = 1.0
-"""Wall time between two looks for others that tell the time [s]."""
 _OVER_S = 3.0
 """Wall time without a command that does not belong here after which the warning of it is taken back [s]."""
 _LATE = 0.75
@@ -125,12 +124,13 @@ class PlantNode(Node):
         self._answer = b""
         qos = LOCKSTEP_QOS if self._lockstep else SAMPLE_QOS
         self._publisher = self.create_publisher(JointState, MEASUREMENT, qos)
-        self._diagnostics.watch_listeners(self._publisher)
+        alone = dict(ONE_DEVICE)
         self._clock_out = None
         if self._lockstep and self._table.flag("clock"):
             self._clock_out = self.create_publisher(Clock, CLOCK, SAMPLE_QOS)
+            alone[CLOCK] = "let one plant tell the time, clock:=false on the others"
+        self._diagnostics.watch_listeners(self._publisher, alone)
         self._stop = EmergencyStop(self, self._diagnostics)
-        self._clocks_seen_at = 0.0
         self._published_at = time.monotonic()
         if self._lockstep:
             SampleInput(self, COMMAND, self._on_command, self._diagnostics)
@@ -223,20 +223,6 @@ class PlantNode(Node):
         now = time.monotonic()
         if now - self._published_at >= REPEAT_S:
             self._publish()
-        if self._clock_out is not None and now - self._clocks_seen_at >= _CLOCKS_S:
-            self._clocks_seen_at = now
-            self._look_for_clocks()
-
-    def _look_for_clocks(self) -> None:
-        others = self.count_publishers(CLOCK) - 1
-        if others > 0:
-            self._diagnostics.report(
-                "clock",
-                "warn",
-                f"{others} more on {CLOCK}: let one plant tell the time, clock:=false on the others",
-            )
-        elif self._diagnostics.level("clock") != "ok":
-            self._diagnostics.report("clock", "ok", f"alone on {CLOCK} again")
 
     def _on_tick(self) -> None:
         """Wall time: keep the pace, whoever answers."""
