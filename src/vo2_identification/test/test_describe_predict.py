@@ -26,7 +26,7 @@ def _rig(count: int = 900) -> Recording:
     law = PreisachOperator(walls, np.exp(-0.5 * ((high - low - 3) / 3) ** 2) * 1e-8)
     noise = np.random.default_rng(5).normal(0.0, 2e-8, count)
     return Recording(
-        DT * np.arange(count), {"drive_voltage": volts, "extension": law(volts) + noise}, "stack_07"
+        DT * np.arange(count), {"drive_voltage": volts, "extension": law(volts) + noise}, "rigs/stack_07.yaml"
     )
 
 
@@ -51,6 +51,7 @@ def test_the_draft_is_a_device_file(folder):
     assert device.noise["tip_deflection"] == pytest.approx(2e-8, rel=0.3)
     assert device.sample_period == pytest.approx(DT)
     assert "# drive: drive_voltage was taken for the drive" in text
+    assert "# units were taken from the names, check them: drive_voltage in V, extension in m" in text
 
 
 def test_a_drafted_heater_heats_by_the_square_of_its_current(tmp_path, capsys):

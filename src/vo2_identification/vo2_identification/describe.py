@@ -120,9 +120,12 @@ def drafted(recording: Recording, drive: str | None) -> tuple[Document, list[str
         for name in names
         if units[name] == _UNKNOWN
     ]
+    known = [f"{name} in {units[name]}" for name in names if units[name] != _UNKNOWN]
+    if known:
+        notes.append(f"units were taken from the names, check them: {', '.join(known)}")
     document: Document = {
         "schema": SCHEMA,
-        "id": recording.device or "my_rig",
+        "id": Path(recording.device).stem or "my_rig",
         "drive": {"channel": chosen, "unit": units[chosen], "limits": [low, high], "operating": [low, high]},
         "body": {"kind": "none"},
         "responses": {},

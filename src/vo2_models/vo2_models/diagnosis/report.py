@@ -690,7 +690,7 @@ def _by_recording(study: Study) -> list[str]:
     told = ", ".join(f"{part.name} {value:.3g}" for part, value in zip(problem.parts, excess, strict=True))
     text = f"excess in noise powers by recording: {told}"
     if excess.max() > 10.0 * max(excess.min(), study.limits.excess):
-        text += "; they differ unlike each other: diagnose them one by one"
+        text += "; some differ and others do not: diagnose them one by one"
     return [text]
 
 
