@@ -92,7 +92,7 @@ def _run(
         command[0] = current + disturbance[k]
         chain.run_chain(
             kind, c, packed_r, packed_d, poly_r, poly_d, levels, domains, x, play_r, play_d, metallic,
-            line, command, normals[k : k + 1], sample,
+            line, command, normals[k : k + 1], command[:0], sample,
         )  # fmt: skip
         estimate = _estimate(sensing, first, second, scales, table, memory, sample[0, 1], sample[0, 4])
         out[k, 0] = estimate

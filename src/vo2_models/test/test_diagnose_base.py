@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 from vo2_models.device import DeviceModel
 from vo2_models.device.coefficients import HUGE, blocks
 from vo2_models.diagnosis.adequacy import adequacy_of, reached, sureness
+from vo2_models.diagnosis.bend import Bend
 from vo2_models.diagnosis.breakdown import breakdown, locate
 from vo2_models.diagnosis.courses import course_columns, gain_of_course, with_courses
 from vo2_models.diagnosis.current_reading import as_commanded, between_samples, current_reading
@@ -19,7 +20,7 @@ from vo2_models.diagnosis.loop_shape import _block_covariance
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of, rounded_with_noise
 from vo2_models.diagnosis.nuisance import Constant, Coverage, constants_of, coverage
-from vo2_models.diagnosis.pairs import _simplest, _untried, option_of, trace
+from vo2_models.diagnosis.pairs import _simplest, _untried, option_of, refit_about, trace
 from vo2_models.diagnosis.part import prepare
 from vo2_models.diagnosis.problem import LATEST, QUICKEST, linearise_problem
 from vo2_models.diagnosis.progress import Clock
@@ -393,12 +394,51 @@ def test_a_gain_may_take_any_slow_course(swings, absorbed) -> None:
     past = np.arange(problem.weight.size) / problem.weight.size
     gain = np.log10(1.0 + 0.02 * np.sin(2.0 * np.pi * swings * past)) / 1e-3  # in noise levels
     bent = with_courses(problem, [hypothesis])
-    assert bent.courses == (hypothesis.key,)
+    assert tuple(bent.courses) == (hypothesis.key,)
     left = [p.chi_square(gain) for p in (problem, bent)]
     assert (left[1] < 0.02 * left[0]) is absorbed
-    columns = course_columns(problem, hypothesis)
-    told = gain_of_course(problem, columns, problem.apply_inverse_covariance(gain))
+    line, walks, _ = course_columns(problem, hypothesis)
+    told = gain_of_course(problem, np.column_stack([line, walks]), problem.apply_inverse_covariance(gain))
     assert told == pytest.approx(left[0] - left[1], rel=0.05, abs=0.02 * left[0])
+
+
+@pytest.mark.parametrize("key", ["ambient_drift", "drive_gain_drift"])
+def test_a_course_that_is_simulated_is_a_straight_line_where_it_is_one(key) -> None:
+    chain, current = _model().model.simulation, _drive(2000)
+    rate = {"ambient_drift": 2.0, "drive_gain_drift": 0.02}[key]
+    line = chain.with_effects({key: {"rate": rate}}).run(current, dt=1e-3)
+    course = chain.with_course(key, rate * 1e-3 * np.arange(2000)).run(current, dt=1e-3)
+    # an effect's own time runs on within a sample, a course is held
+    assert np.allclose(course, line, rtol=0.0, atol=2e-3 * np.ptp(line, axis=0))
+    assert not np.allclose(course, chain.run(current, dt=1e-3), rtol=0.0, atol=1e-2 * np.ptp(line, axis=0))
+
+
+def test_a_bend_raised_by_a_weight_is_a_constant_more() -> None:
+    bend = Bend(0.5, np.zeros(12), 20.0, np.linspace(0.0, 1.0, 12))
+    assert np.allclose(bend.raised(0.1).amplitude(300) - bend.amplitude(300), 0.5 * 20.0 * 0.1, atol=1e-9)
+    assert np.all(Bend(0.5, np.zeros(12)).amplitude(300) == 0.0)
+
+
+def test_a_room_that_swings_by_more_than_a_loop_is_linear_over_is_followed() -> None:
+    size, dt = 4000, 1e-3
+    nominal, current = replace(_model(), noise={RESISTANCE: NoiseModel(1e-3)}), _drive(size)
+    swing = 3.0 * np.sin(4.0 * np.pi * np.arange(size) / size)
+    shown = nominal.respond(current, dt, course=("ambient_drift", swing)).channels[RESISTANCE]
+    shown = shown + 1e-3 * np.random.default_rng(3).normal(size=size)
+    recording = Recording(
+        dt * np.arange(size), {HEATER_CURRENT: current, RESISTANCE: 10.0**shown}, "integrated"
+    )
+    problem = linearise_problem(nominal, [prepare(recording, nominal)])
+    hypothesis = next(
+        h for h in hypotheses(problem, "integrated", problem.residual) if h.key == "ambient_drift"
+    )
+    line = fit_jointly(with_courses(problem, [hypothesis]), [hypothesis], [{"rate": 0.0}], iterations=3)
+    there, fit = refit_about(nominal, problem, line)
+    assert fit.chi_square < 1.1 * there.count
+    assert line.chi_square > 4.0 * there.count
+    rate, bend = fit.values[0]["rate"], fit.courses["ambient_drift"]
+    found = rate * dt * np.arange(size) + bend.amplitude(size)
+    assert np.sqrt(np.mean((found - swing) ** 2)) < 0.1
 
 
 def test_a_rival_is_as_probable_as_misfit_that_is_left_makes_it() -> None:

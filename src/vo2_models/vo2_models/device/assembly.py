@@ -130,6 +130,8 @@ def _value(record: Effect, block: Block, name: str, quantities: Mapping[str, str
         return f"x[{place}]" if size == 1 else str(place)
     if name == "memory":
         return "x"
+    if name == "course":
+        return f"x[{int(Slot.COURSE)}]"
     if name == "period":
         return f"c[{int(Coefficient.SAMPLE_PERIOD)}]"
     if name in _DEVICE:

@@ -104,20 +104,23 @@ def _settle_behind_film(c, x, resistance, deflection, stage):
 @kernel(nogil=True)
 def run_chain(
     kind, c, packed_r, packed_d, poly_r, poly_d, levels, domains,
-    x, play_r, play_d, metallic, line, command, normals, out,
+    x, play_r, play_d, metallic, line, command, normals, course, out,
 ):  # fmt: skip
     """Run the chain over `command` (n,) [A] and fill `out` (n, COLUMNS); all memories are updated in place.
 
     `kind` : PLAYS or ENSEMBLE; `c` : coefficients as `Simulation.prepared` gives them; `packed_*`, `poly_*` : laws as
     `device.law_step` takes them, and polynomials;
-    `levels`, `domains` : (2, 2, n) sorted populations; `normals` : (n, 4) standard normal numbers.
+    `levels`, `domains` : (2, 2, n) sorted populations; `normals` : (n, 4) standard normal numbers;
+    `course` : (n,) what is added to the amplitude of the effect that may have any course in time, or (0,).
     """
     c, poly_r, poly_d, x = borrow(c), borrow(poly_r), borrow(poly_d), borrow(x)
     packed_r, packed_d, play_r, play_d = borrow(packed_r), borrow(packed_d), borrow(play_r), borrow(play_d)
     levels, domains, metallic, line = borrow(levels), borrow(domains), borrow(metallic), borrow(line)
-    command, normals, out = borrow(command), borrow(normals), borrow(out)
+    command, normals, course, out = borrow(command), borrow(normals), borrow(course), borrow(out)
     period = c[C.SAMPLE_PERIOD]
     parts = max(int(c[C.SUBSTEPS]), 1)
+    if course.size > 0:
+        x[S.COURSE] = course[0]
     if x[S.STARTED] == 0.0:
         x[S.STARTED] = 1.0
         initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, domains, metallic)
@@ -129,6 +132,8 @@ def run_chain(
     for k in range(command.size):
         sample = int(x[S.SAMPLE])
         time = c[C.CLOCK] * (sample * period)
+        if course.size > 0:
+            x[S.COURSE] = course[k]
         current = _driver(c, x, command[k], time, period)
         line[sample & _LINE] = current
         # the held input changes inside the interval where the dead time is no whole number of samples

@@ -55,6 +55,7 @@ TRUE_RESISTANCE = "true_film_resistance"
 _NO_LEVELS = np.zeros((2, 2, 0))
 _NO_DOMAINS = np.zeros((2, 2, 0), dtype=np.int64)
 _NO_PLAYS = np.zeros(7)
+_NO_COURSE = np.zeros(0)
 _NO_POLYNOMIAL = np.zeros(1)
 RESTED = 15.0
 """Time constants of the slowest process after which a device is at rest."""
@@ -121,6 +122,7 @@ class Simulation:
     levels, domains : sorted populations, metallic and structural (ENSEMBLE)
     steps_per_constant : thermal steps per time constant where feedback needs them
     force_feedback : take these steps although no effect needs them, so that a fit sees a smooth function
+    course : (m,) over a whole run, what is added to the amplitude of an effect that may have any course in time; (0,) for none
     """
 
     device: str
@@ -134,12 +136,25 @@ class Simulation:
     domains: NDArray[np.int64] = field(default_factory=_NO_DOMAINS.copy)
     steps_per_constant: float = 4.0
     force_feedback: bool = False
+    course: Floats = field(default_factory=_NO_COURSE.copy)
 
     def with_effects(self, effects: Mapping[str, Mapping[str, float | str]]) -> Simulation:
         """Return the same device with effects `{id: {parameter: value}}`; a signal effect also takes "signal"."""
         c = self.coefficients.copy()
         apply_effects(c, effects, device=self.device)
         return Simulation(**{**self.__dict__, "coefficients": c})
+
+    def with_course(self, key: str, course: Floats) -> Simulation:
+        """Return the same device on a run over which (m,) values are added to the amplitude of the effect `key`, evenly in time.
+
+        Parameters
+        ----------
+        key : of an effect whose record has a `course`; it need not be on
+        course : (m,), in the unit of the amplitude
+        """
+        c = self.coefficients.copy()
+        c[blocks()[key].active] = 1.0
+        return Simulation(**{**self.__dict__, "coefficients": c, "course": course})
 
     @property
     def has_resistance(self) -> bool:
@@ -278,7 +293,9 @@ class Simulation:
         """
         state = self.initial_state()
         x = state.scalars
-        still = Simulation(**{**self.__dict__, "coefficients": self.coefficients.copy()})
+        still = Simulation(
+            **{**self.__dict__, "coefficients": self.coefficients.copy(), "course": _NO_COURSE}
+        )
         still.coefficients[Coefficient.CLOCK] = 0.0
         for name in (Sensor.NOISE, Sensor.NOISE_RELATIVE):
             still.coefficients[[sensor_index(channel, name) for channel in CHANNELS]] = 0.0
@@ -323,14 +340,26 @@ class Simulation:
         if noise is None:
             noise = np.zeros((current.size, len(CHANNELS)))
         out = np.empty((current.size, chain.COLUMNS))
-        self.call(c, memory, current, noise, out)
+        course = self.course
+        if course.size not in (0, current.size):
+            evenly = np.linspace(0.0, 1.0, current.size)
+            course = np.interp(evenly, np.linspace(0.0, 1.0, course.size), course)
+        self.call(c, memory, current, noise, out, course)
         return out
 
-    def call(self, c: Floats, state: ChainState, current: Floats, normals: Floats, out: Floats) -> None:
+    def call(
+        self,
+        c: Floats,
+        state: ChainState,
+        current: Floats,
+        normals: Floats,
+        out: Floats,
+        course: Floats = _NO_COURSE,
+    ) -> None:
         """Run the compiled chain on checked arrays; nothing is allocated."""
         chain.run_chain(
             self.kind, c, self.packed_r, self.packed_d, self.poly_r, self.poly_d, self.levels, self.domains,
-            state.scalars, state.play_r, state.play_d, state.metallic, state.line, current, normals, out,
+            state.scalars, state.play_r, state.play_d, state.metallic, state.line, current, normals, course, out,
         )  # fmt: skip
 
     def simulate(

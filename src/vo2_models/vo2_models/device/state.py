@@ -55,6 +55,7 @@ class Slot(IntEnum):
     LAG_TIME = auto()
     LAG_STEP = auto()
     LAG_DECAY = auto()
+    COURSE = auto()  # what a course in time adds to the amplitude of the effect that has one
 
 
 @dataclass

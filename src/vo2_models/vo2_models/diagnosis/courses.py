@@ -2,26 +2,40 @@
 
 What such an effect makes of a recording is, while it is small, a pattern times its amplitude f(t). The straight line
 f = rate t is fitted as every other parameter; what bends about it is a sum of splines whose weights belong to the nuisance
-model, so that a refit of them is in every chi-square.
+model, so that a refit of them is in every chi-square. A room that swings by a kelvin moves loops that are a few kelvins wide:
+where the effect's hooks take the course, the simulation follows the bend that was found, and what is nuisance is linear about it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from inspect import signature
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vo2_models.diagnosis.bend import Bend, walks_of
 from vo2_models.diagnosis.hypotheses import MAGNITUDE_STEP, Hypothesis
 from vo2_models.diagnosis.problem import LinearisedProblem
-from vo2_models.identification.enrichment import cubic_spline
 
-__all__ = ["course_columns", "gain_of_course", "knots_of", "with_courses"]
+__all__ = [
+    "bent_by",
+    "constants_like",
+    "course_columns",
+    "gain_of_course",
+    "is_followed",
+    "knots_of",
+    "with_courses",
+]
 
 Floats = NDArray[np.float64]
 KNOTS = 24
 """Splines over a recording: what swings more than some eight times in it is no slow course."""
+STARTS = 20.0
+"""Standard deviation of where a course begins that the simulation follows, in steps that matter."""
+SAME = 0.999
+"""Cosine of two changes of the recording above which they are one."""
 FEWEST, MOST = 6, 96
 """Least splines of a recording, and most of all together where there are several."""
 
@@ -36,49 +50,143 @@ def knots_of(problem: LinearisedProblem) -> int:
     return int(np.clip(MOST // len(problem.parts), FEWEST, KNOTS))
 
 
-def with_courses(problem: LinearisedProblem, hypotheses: Sequence[Hypothesis]) -> LinearisedProblem:
+def with_courses(
+    problem: LinearisedProblem, hypotheses: Sequence[Hypothesis], held: Sequence[int] = ()
+) -> LinearisedProblem:
     """Return the same problem, in whose nuisance model these effects may bend in time.
 
     Parameters
     ----------
-    problem : without courses
+    problem : without the columns of courses
     hypotheses : of records with a `course`, a parameter whose product with the time is the amplitude
+    held : places of constants that do not move, see `constants_like`
     """
     if not hypotheses:
         return problem
-    columns = np.hstack([course_columns(problem, hypothesis)[:, 1:] for hypothesis in hypotheses])
+    thermal = problem.nuisance.thermal.copy()
+    thermal[:, list(held)] = 0.0
+    found = [course_columns(problem, hypothesis) for hypothesis in hypotheses]
+    columns = np.hstack([walks for _, walks, _ in found])
+    bends = {h.key: bend for h, (_, _, bend) in zip(hypotheses, found, strict=True)}
+    bent = np.zeros(problem.residual.size)
+    for _, walks, bend in found:
+        if bend.weights.size:
+            bent += walks @ bend.weights
     return replace(
         problem,
-        nuisance=replace(problem.nuisance, courses=columns),
-        courses=tuple(hypothesis.key for hypothesis in hypotheses),
+        nuisance=replace(problem.nuisance, courses=columns, thermal=thermal),
+        courses=bends,
+        residual=problem.residual + bent,
+        bent=bent,
     )
 
 
-def course_columns(problem: LinearisedProblem, hypothesis: Hypothesis) -> Floats:
-    """Return whitened columns of one effect (N, 1 + c): its straight line, then random walks from spline to spline without it.
+def bent_by(problem: LinearisedProblem, vector: Floats) -> dict[str, Bend]:
+    """Return how the effects bend in time that the nuisance model absorbs of a whitened residual (N,) with.
 
-    A unit of a walk is a step as large as typical magnitudes make over the recording.
+    Parameters
+    ----------
+    problem : with courses, or without: then there is nothing to bend
+    vector : what is left once the effects are simulated as the problem has them
+    """
+    if problem.nuisance.courses is None:
+        return dict(problem.courses)
+    weights = problem.nuisance.course_weights(problem.fit_nuisance(vector))
+    each = np.split(weights, max(len(problem.courses), 1))
+    return {
+        key: replace(bend, weights=own)
+        for (key, bend), own in zip(problem.courses.items(), each, strict=True)
+    }
+
+
+def is_followed(problem: LinearisedProblem, hypothesis: Hypothesis) -> bool:
+    """Return whether the simulation follows a course of the effect that is not small.
+
+    Its hooks must take it, and there must be one recording: each would have a course of its own.
+
+    Parameters
+    ----------
+    problem : with the recordings
+    hypothesis : of the effect
+    """
+    takes = [signature(hook).parameters for hook in hypothesis.record.hooks.values()]
+    return len(problem.parts) == 1 and any("course" in names for names in takes)
+
+
+def course_columns(problem: LinearisedProblem, hypothesis: Hypothesis) -> tuple[Floats, Floats, Bend]:
+    """Return whitened columns of one effect, its straight line (N,) and random walks from spline to spline (N, c), and the bend.
+
+    A unit of a walk is a step as large as typical magnitudes make over the recording. The straight line is taken off walks
+    about no bend; about a bend the walks are as they were there.
 
     Parameters
     ----------
     problem : whose nuisance model is to take the course
     hypothesis : of a record with a `course`
     """
-    name = hypothesis.record.course
+    key, name = hypothesis.key, hypothesis.record.course
     typical = {n: 0.0 if n in hypothesis.magnitudes else v for n, v in hypothesis.starts[0].items()}
-    typical[name] = hypothesis.scales[name]
-    plain = replace(problem, included={k: v for k, v in problem.included.items() if k != hypothesis.key})
-    line = plain.stack(plain.responses(hypothesis.effects(typical)), plain.responses({})) / MAGNITUDE_STEP
-    count = knots_of(problem)
-    knots = np.asarray((np.arange(count) - 1.0) / (count - 3.0), dtype=np.float64)
+    known = problem.courses.get(key)
+    bent = known is not None and known.weights.size > 0 and key in problem.included
+    if bent:
+        here = {n: float(v) for n, v in problem.included[key].items() if n != "signal"}
+        origin, before = problem, problem.nominal_responses
+    else:
+        here = typical
+        origin = replace(
+            problem, included={k: v for k, v in problem.included.items() if k != key}, courses={}
+        )
+        before = tuple(origin.responses({}))
+    moved = hypothesis.effects({**here, name: here.get(name, 0.0) + hypothesis.scales[name]})
+    line = origin.stack(origin.responses(moved), before) / MAGNITUDE_STEP
+    # where it begins is nobody's knowledge: a constant of the device that does the same must not move for it
+    followed = is_followed(problem, hypothesis)
+    count, start = knots_of(problem), STARTS if followed else 1.0
     walks = np.zeros((line.size, count * len(problem.parts)))
     for row, part, _ in problem.iterate():
         past = (np.arange(part.size) + 1.0) / part.size
-        course = cubic_spline(knots, past) @ np.tril(np.ones((count, count)))
         own = slice(count * row.part, count * (row.part + 1))
-        walks[row.where, own] = (line[row.where] / past)[:, None] * course
+        walks[row.where, own] = (line[row.where] / past)[:, None] * walks_of(count, part.size, start)
+    length = problem.parts[0].size * problem.parts[0].dt
+    bend = Bend(hypothesis.scales[name] / MAGNITUDE_STEP * length, np.zeros(count), start)
+    bend = known if bent and known is not None else bend
+    if followed:  # a constant acts from before the recording on: by simulation
+        weights = bend.weights if bend.weights.size else np.zeros(count)
+        further = weights + np.eye(count)[0] * (MAGNITUDE_STEP / start)
+        there = replace(origin, courses={key: replace(bend, shares=np.zeros(count), weights=further)})
+        if bent:
+            there = replace(origin, courses={key: replace(bend, weights=further)})
+        walks[:, 0] = there.stack(there.responses(hypothesis.effects(here)), before) / (
+            MAGNITUDE_STEP / start
+        )
+    if bent:
+        walks[:, 1:] -= np.outer(line, bend.shares[1:])
+        return line, walks, bend
     share = line @ walks / max(float(line @ line), 1e-300)
-    return np.column_stack([line, walks - np.outer(line, share)])
+    return line, walks - np.outer(line, share), replace(bend, shares=share)
+
+
+def constants_like(problem: LinearisedProblem, hypothesis: Hypothesis) -> dict[int, float]:
+    """Return the places of constants that do what a course does which is the same all the time.
+
+    Parameters
+    ----------
+    problem : without courses
+    hypothesis : of an effect whose course is followed
+
+    Returns
+    -------
+    place -> weight of the course's first walk that does what a unit of the constant does
+    """
+    line, walks, bend = course_columns(problem, hypothesis)
+    offset = walks[:, 0] + bend.shares[0] * line
+    own = float(np.linalg.norm(offset))
+    found = {}
+    for place, column in enumerate(problem.nuisance.thermal.T):
+        along, size = float(offset @ column), float(np.linalg.norm(column))
+        if abs(along) > SAME * own * size:
+            found[place] = along / own**2
+    return found
 
 
 def gain_of_course(problem: LinearisedProblem, columns: Floats, left: Floats) -> float:
@@ -87,7 +195,7 @@ def gain_of_course(problem: LinearisedProblem, columns: Floats, left: Floats) ->
     Parameters
     ----------
     problem : with its nuisance model
-    columns : (N, 1 + c), as `course_columns` returns them
+    columns : (N, 1 + c), the line and the walks that `course_columns` returns
     left : (N,) what the nuisance model leaves of the residual
     """
     gram = columns.T @ problem.apply_inverse_covariance(columns)

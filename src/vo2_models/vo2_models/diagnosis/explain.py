@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device.coefficients import HUGE
-from vo2_models.diagnosis.courses import knots_of
+from vo2_models.diagnosis.bend import Bend
+from vo2_models.diagnosis.courses import bent_by, knots_of
 from vo2_models.diagnosis.hypotheses import MAGNITUDE_STEP, Hypothesis
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.problem import LinearisedProblem
@@ -73,7 +74,7 @@ class Explanation:
     tangent : (N, p) its derivative
     at_bound : parameters that ended at a physical bound
     shift : how far the nuisance model moved its thermal parameters, in units of their columns
-    courses : keys of hypotheses that may bend in time
+    courses : key of each hypothesis that may bend in time -> how it does
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -86,7 +87,7 @@ class Explanation:
     tangent: Floats = field(repr=False)
     at_bound: tuple[str, ...] = ()
     shift: Floats = field(default_factory=lambda: np.zeros(0))
-    courses: tuple[str, ...] = ()
+    courses: Mapping[str, Bend] = field(default_factory=dict)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -403,7 +404,7 @@ def fit_jointly(
     )
     return Explanation(
         tuple(hypotheses), tuple(values), chi, problem.residual_chi_square - chi, covariance, coordinates, change,
-        descent.tangent, at_bound, shift, problem.courses,
+        descent.tangent, at_bound, shift, bent_by(problem, problem.residual - change),
     )  # fmt: skip
 
 

@@ -217,14 +217,18 @@ class Nominal:
         )
 
     @cached_property
-    def _films(self) -> Callable[[bytes, bytes, float], Film]:
-        """Corrected film for coefficients, current [A] and sample period [s], the last few kept."""
+    def _films(self) -> Callable[[bytes, bytes, float, bytes], Film]:
+        """Corrected film for coefficients, current [A], sample period [s] and course, the last few kept."""
         plain, corrections = self.model.simulation, self.corrections
         from_rest = self.model.description.has_body
 
         @lru_cache(maxsize=FILMS)
-        def film(coefficients: bytes, current: bytes, dt: float) -> Film:
-            chain = replace(plain, coefficients=np.frombuffer(coefficients).copy())
+        def film(coefficients: bytes, current: bytes, dt: float, course: bytes) -> Film:
+            chain = replace(
+                plain,
+                coefficients=np.frombuffer(coefficients).copy(),
+                course=np.frombuffer(course).copy(),
+            )
             out = _bounded(chain.run(np.frombuffer(current).copy(), dt=dt))
             return corrected_film(chain, out, dt, corrections, from_rest=from_rest)
 
@@ -246,6 +250,7 @@ class Nominal:
         constants: Mapping[str, float] | None = None,
         settled: bool = False,
         fine: bool = True,
+        course: tuple[str, Floats] | None = None,
     ) -> Response:
         """Simulate without noise.
 
@@ -261,10 +266,11 @@ class Nominal:
             which is judged by its logarithm, 1 + ln gain
         settled : whether the device had come to rest at the first current before, instead of at no current
         fine : take several steps a sample where it counts what happens in between
+        course : effect, and (n,) what is added to its amplitude, see `Simulation.with_course`
         """
 
         def run(given: Mapping[str, Mapping[str, float | str]] | None) -> Response:
-            return self._run(current, dt, given, constants, settled, fine)
+            return self._run(current, dt, given, constants, settled, fine, course)
 
         late = next((key for key in effects or {} if "delay" in records()[key.partition(":")[0]].hooks), None)
         if self.model.heats or effects is None or late is None:
@@ -287,6 +293,7 @@ class Nominal:
         constants: Mapping[str, float] | None,
         settled: bool,
         fine: bool,
+        course: tuple[str, Floats] | None,
     ) -> Response:
         """As `respond`, with any delay as the simulation has it."""
         chain = _noiseless(self.model.simulation)
@@ -308,6 +315,8 @@ class Nominal:
                     current.size,
                 )
             current = np.concatenate([np.full(lead, current[0]), current])
+        if course is not None:
+            chain = chain.with_course(course[0], np.pad(course[1], (lead, 0), mode="edge"))
         steps = _steps_between(chain, dt) if fine else 1
         if steps > 1:
             current, dt = self._finer(current, steps), dt / steps
@@ -315,7 +324,7 @@ class Nominal:
         resting = settled and not self.model.heats
         if self.corrections or resting:
             alone = film_alone(chain.coefficients)
-            film = self._films(alone.tobytes(), current.tobytes(), dt)
+            film = self._films(alone.tobytes(), current.tobytes(), dt, chain.course.tobytes())
             if resting:  # what is behind the film begins at rest with it, a ring too
                 film, lead = film.resting_until(lead * steps), 0
             out = _finite(propagate_correction(chain, film, dt, every=steps))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.diagnosis.courses import with_courses
+from vo2_models.diagnosis.courses import constants_like, is_followed, with_courses
 from vo2_models.diagnosis.explain import (
     BRIEF,
     Explanation,
@@ -85,7 +85,7 @@ def trace(final: LinearisedProblem, key: str = "") -> Floats:
     others = {name: values for name, values in final.included.items() if key and name != key}
     plain = replace(final, included=others)
     bends = key in final.courses if key else bool(final.courses)
-    bent = final.nuisance.of_courses(final.fit_nuisance(final.residual)) if bends else 0.0
+    bent = final.nuisance.of_courses(final.fit_nuisance(final.residual)) - final.bent if bends else 0.0
     return bent - plain.stack(plain.responses({}), final.nominal_responses)
 
 
@@ -129,6 +129,11 @@ def refit_about(
         shift: Floats, fit: Explanation, final: LinearisedProblem
     ) -> tuple[LinearisedProblem, Explanation]:
         rest = final.residual - fit.deviation
+        courses = {h.key: fit.courses[h.key] for h in followed}
+        for place, weight in held.items():
+            for key, bend in courses.items():  # what the constant does the course does
+                courses[key] = bend.raised(weight * shift[place])
+        shift = np.where(np.isin(np.arange(shift.size), list(held)), 0.0, shift)
         there = linearise_problem(
             nominal,
             problem.parts,
@@ -139,13 +144,16 @@ def refit_about(
             loops=final.loops,
             loop_origin=final.loop_weights(final.fit_nuisance(rest)) if problem.refits else {},
             refits=problem.refits,
+            courses=courses,
         )
-        there = with_courses(there, [h for h in best.hypotheses if h.key in best.courses])
+        there = with_courses(there, [h for h in best.hypotheses if h.key in best.courses], tuple(held))
         fit = fit_jointly(there, best.hypotheses, fit.values, iterations=6, tick=tick)
         return there, either_way(there, fit, tick=tick)
 
+    followed = [h for h in best.hypotheses if h.key in best.courses and is_followed(problem, h)][:1]
+    held = constants_like(problem, followed[0]) if followed else {}
     final, again = problem, best
-    turns, turn = 1 + REFITS * problem.refits, 0
+    turns, turn = 1 + REFITS * (problem.refits or bool(followed)), 0
     while turn < turns:
         # fitted with constants as the calibration left them, perhaps: those that drift come last
         shift = np.pad(again.shift, (0, problem.origin.size - again.shift.size))
@@ -154,7 +162,7 @@ def refit_about(
         if not turn and much and problem.curved(shift) > FAR and not problem.refits:
             # constants that went far to stand for the effect need not find back
             tried.append(about(np.zeros_like(shift), again, final))
-            turns = 2
+            turns = max(turns, 2)
         there, fitted = min(tried, key=lambda one: one[1].chi_square)
         if turn and fitted.chi_square > again.chi_square - SETTLES * there.count:
             break

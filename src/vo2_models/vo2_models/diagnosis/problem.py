@@ -22,6 +22,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from vo2_models.device.simulation import FINE
 from vo2_models.device.state import CURRENT_LINE
+from vo2_models.diagnosis.bend import Bend
 from vo2_models.diagnosis.current_reading import between_samples
 from vo2_models.diagnosis.loop_shape import LoopShape, loop_shapes
 from vo2_models.diagnosis.misfit import NO_MISFIT, Whitening
@@ -82,7 +83,8 @@ class LinearisedProblem:
     refits : whether the nominal device is fitted anew, so that it is linearised about its refitted loops as well
     constants : of the thermal columns, which are the last; a unit of each is its `spread`
     included : effects that the nominal responses already have
-    courses : keys of effects that may bend in time, see the module of that name
+    courses : key -> how each effect that may bend in time does so, about which everything is linear, see the module of that name
+    bent : (N,) what the columns of the courses say of that, so that the nuisance model pays for it; empty for nothing
     shapes : posterior of the loop shapes behind the nuisance model
     """
 
@@ -102,7 +104,8 @@ class LinearisedProblem:
     loop_coupling: Floats = field(default_factory=lambda: np.zeros((1, 1)))
     loop_origin: Mapping[str, Floats] = field(default_factory=dict)
     refits: bool = False
-    courses: tuple[str, ...] = ()
+    courses: Mapping[str, Bend] = field(default_factory=dict)
+    bent: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         gram = self.nuisance.gram()
@@ -147,14 +150,16 @@ class LinearisedProblem:
     ) -> list[Response]:
         """Simulate every part with effects beside the included ones, thermal parameters moved by `shift` columns."""
         values = self.moved(self.origin if shift is None else shift)
+        given = {**self.included, **effects}
         return [
             self.nominal.respond(
                 part.current,
                 part.dt,
-                effects={**self.included, **effects},
+                effects=given,
                 constants=values,
                 settled=part.settled,
                 fine=fine,
+                course=_course(self.courses, given, part),
             )
             for part in self.parts
         ]
@@ -310,6 +315,7 @@ def linearise_problem(
     loops: Mapping[str, LoopColumns] | None = None,
     loop_origin: Mapping[str, Floats] | None = None,
     refits: bool = False,
+    courses: Mapping[str, Bend] | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> LinearisedProblem:
     """Build the problem: loop shape from the calibration, simulation of every part, whitened nuisance model.
@@ -326,6 +332,7 @@ def linearise_problem(
         temperatures have hardly moved
     loop_origin : weights of these columns, by channel, to linearise about; the nuisance model pays for them as well
     refits : whether the nominal device is fitted anew
+    courses : how the effects bend in time; their columns are not there yet, see `courses.with_courses`
     say : called with what is being done
 
     Returns
@@ -354,7 +361,14 @@ def linearise_problem(
     values = _moved(constants, origin, parts)
     say("simulating the recordings")
     responses = [
-        corrected.respond(p.current, p.dt, effects=effects, constants=values, settled=p.settled)
+        corrected.respond(
+            p.current,
+            p.dt,
+            effects=effects,
+            constants=values,
+            settled=p.settled,
+            course=_course(courses or {}, effects or {}, p),
+        )
         for p in parts
     ]
     rows, end = [], 0
@@ -392,7 +406,7 @@ def linearise_problem(
         corrected, origin, tuple(parts), tuple(rows), weight, tuple(whitening), tuple(responses),
         residual,
         Tangent((), np.zeros((end, 0))), constants, dict(effects or {}), shapes, kept, loop_origin=about,
-        refits=refits,
+        refits=refits, courses=courses or {},
     )  # fmt: skip
 
     thermal_columns = _constant_columns(partial)
@@ -409,6 +423,18 @@ def linearise_problem(
         residual=residual,
         nuisance=nuisance,
         loop_coupling=coupling,
+    )
+
+
+def _course(courses: Mapping[str, Bend], effects: Effects, part: Part) -> tuple[str, Floats] | None:
+    """The effect that bends in time, and how far at each sample; None where none does."""
+    return next(
+        (
+            (key, courses[key].amplitude(part.size))
+            for key in effects
+            if key in courses and courses[key].weights.size
+        ),
+        None,
     )
 
 

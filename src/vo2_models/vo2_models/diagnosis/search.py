@@ -10,7 +10,14 @@ import numpy as np
 from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.absorbed import without_absorbed
 from vo2_models.diagnosis.adequacy import over_misfit, where_told
-from vo2_models.diagnosis.courses import course_columns, gain_of_course, with_courses
+from vo2_models.diagnosis.courses import (
+    bent_by,
+    course_columns,
+    gain_of_course,
+    is_followed,
+    knots_of,
+    with_courses,
+)
 from vo2_models.diagnosis.drift import Drift, drift_of
 from vo2_models.diagnosis.explain import (
     BRIEF,
@@ -132,7 +139,7 @@ def search(
     if hidden and not first_use and not _without_constants(located, fits, limits, clock):
         fixed, unmoved = _with_fixed_constants(located, candidates, fits, limits, shortlist, clock)
         fits += unmoved
-    fits += _with_courses(problem, candidates, fits, limits, clock)
+    fits += _with_courses(located, candidates, fits, limits, clock)
     before = problem.residual_chi_square
     best: dict[str, Explanation] = {}
     for fit in sorted(fits, key=lambda e: cost(e, problem, limits)):
@@ -164,36 +171,52 @@ def _without_constants(located: Located, fits: Sequence[Explanation], limits: Li
 
 
 def _with_courses(
-    problem: LinearisedProblem,
+    located: Located,
     candidates: Sequence[Hypothesis],
     fits: Sequence[Explanation],
     limits: Limits,
     clock: Clock,
 ) -> list[Explanation]:
     """Refits of effects that may take any course in time, where that could be worth a name."""
+    problem = located.problem
     left = problem.apply_inverse_covariance(problem.residual)
-    most = max((fit.gain for fit in fits), default=0.0)
-    straight = {fit.keys[0]: fit for fit in fits}
+    # some were fitted with constants held, and their gain is told against that
+    most = max((problem.residual_chi_square - fit.chi_square for fit in fits), default=0.0)
+    straight = {fit.keys[0]: fit for fit in sorted(fits, key=lambda e: -e.chi_square)}
     found = []
     for hypothesis in candidates:
         if not hypothesis.record.course:
             continue
-        columns = course_columns(problem, hypothesis)
+        line, walks, _ = course_columns(problem, hypothesis)
         clock.tick()
-        gain = gain_of_course(problem, columns, left)
+        gain = gain_of_course(problem, np.column_stack([line, walks]), left)
         known = straight.get(hypothesis.key)
-        more = gain - (known.gain if known else 0.0)
-        if gain < max(limits.course * most, limits.gain) or more < limits.gain + limits.bend * gain:
+        alone = problem.residual_chi_square - known.chi_square if known else 0.0
+        followed = is_followed(problem, hypothesis)
+        if followed:  # the pattern is not linear as far as the course goes: what is left may all be its bend
+            gain = max(gain, alone)
+            most_by_bend = problem.residual_chi_square - alone - problem.count
+            worth = limits.gain + knots_of(problem) * price(problem, limits)
+        else:
+            most_by_bend, worth = gain - alone, limits.gain + limits.bend * gain
+        if gain < max(limits.course * most, limits.gain) or most_by_bend < worth:
             continue
         bent = with_courses(problem, [hypothesis])
         kept = {n: v for n, v in hypothesis.starts[0].items() if n not in hypothesis.magnitudes}
         name = hypothesis.record.course  # beside any course no other power of the time
         start = {**kept, name: known.values[0].get(name, 0.0) if known else 0.0}
         fit = fit_jointly(bent, [hypothesis], [start], iterations=BRIEF, tick=clock.tick)
-        bend = bent.nuisance.of_courses(bent.fit_nuisance(bent.residual - fit.deviation))
-        found.append(
-            replace(fit, gain=problem.residual_chi_square - fit.chi_square, deviation=fit.deviation + bend)
-        )
+        if followed:
+            there, fit = refit_about(located.nominal, problem, fit, tick=clock.tick)
+            if problem.residual_chi_square - fit.chi_square < alone + worth:
+                continue
+            beyond = bent_by(there, there.residual - fit.deviation)
+            change = replace(problem, courses=beyond).deviation(fit.effects, fit.shift)
+        else:
+            change = fit.deviation + bent.nuisance.of_courses(
+                bent.fit_nuisance(bent.residual - fit.deviation)
+            )
+        found.append(replace(fit, gain=problem.residual_chi_square - fit.chi_square, deviation=change))
     return found
 
 

@@ -94,11 +94,16 @@ class Tangent:
             out[rows] += block @ weights[own]
         return np.asarray(out)
 
+    def course_weights(self, weights: Floats) -> Floats:
+        """Return those of the weights (k,) that are of courses, (c,)."""
+        count = 0 if self.courses is None else self.courses.shape[1]
+        return weights[self._end : self._end + count]
+
     def of_courses(self, weights: Floats) -> Floats:
         """Return the part (N,) of B w, w (k,), that is the courses'."""
         if self.courses is None:
             return np.zeros(self.thermal.shape[0])
-        return np.asarray(self.courses @ weights[self._end : self._end + self.courses.shape[1]])
+        return np.asarray(self.courses @ self.course_weights(weights))
 
     def times_rows(self, rows: slice, weights: Floats) -> Floats:
         """Return the rows of one channel of B w."""

@@ -24,5 +24,5 @@ EFFECT = Effect(
 )
 
 
-def ambient(time, rate, curvature):
-    return time * (rate + time * curvature)
+def ambient(time, course, rate, curvature):
+    return time * (rate + time * curvature) + course

@@ -31,13 +31,13 @@ EFFECT = Effect(
 )
 
 
-def drive(current, time, rate, curvature, logged):
-    return current * (1.0 + time * (rate + time * curvature)) if logged > 0.5 else current
+def drive(current, time, course, rate, curvature, logged):
+    return current * (1.0 + time * (rate + time * curvature) + course) if logged > 0.5 else current
 
 
-def heating(joule, time, on_stage, rate, curvature, logged):
+def heating(joule, time, course, on_stage, rate, curvature, logged):
     if logged > 0.5:
         return 0.0
     # a Peltier stage pumps in proportion to the current, a heater warms with its square
-    grown = 1.0 + time * (rate + time * curvature)
+    grown = 1.0 + time * (rate + time * curvature) + course
     return joule * ((grown if on_stage != 0.0 else grown * grown) - 1.0)

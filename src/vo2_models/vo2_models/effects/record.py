@@ -233,7 +233,8 @@ class Effect:
     typical : shipped device, or "device:signal", -> parameter -> range of clearly visible magnitudes, for demonstrations
     fixed : parameters that an excitation cannot separate from the others; a fit leaves them at their default
     course : parameter whose product with the time is the effect's amplitude, where that may take any slow course in time
-        and a straight line is the simplest; empty for none
+        and a straight line is the simplest; empty for none. A hook that takes `course`, in the unit of the amplitude, and adds it
+        has its large courses simulated; else they are linear
     same_values : ids of effects that would give its channel the same values and are no candidates there; on a device without
         body, where nothing else tells them apart, the answer holds them too
     linear : whether what a structure or a sensor makes of a sum is the sum of what it makes of the parts
@@ -396,6 +397,7 @@ class Effect:
                 f"{where}: slowest_time: found {self.slowest_time!r}, need a parameter of the effect"
             )
         known = own | {s.name for s in self.states} | set(self.derived) | set(DEVICE)
+        known |= {"course"} if self.course else set()
         known |= {"memory"} if any(s.size > 1 for s in self.states) else set()
         for name, function in self.hooks.items():
             if name in PLAIN:
@@ -413,7 +415,7 @@ class Effect:
     def _check_neutral(self, where: str) -> None:
         """Raise where a hook without memory gives no number, or changes something while every parameter is neutral."""
         for name, hook in self.hooks.items():
-            given = {**_TRIED.get(self.stage, {}), **self.neutral()}
+            given = {"course": 0.0, **_TRIED.get(self.stage, {}), **self.neutral()}
             arguments = list(inspect.signature(hook).parameters)
             if name not in HOOKS or not set(arguments) <= set(given):
                 continue
