@@ -11,13 +11,14 @@ from pathlib import Path
 
 import pytest
 import yaml
-from vo2_control.controller_node import CONTROLLER_NODE_PARAMETERS
+from vo2_control.controller_node import CONTROLLER_NODE_PARAMETERS, ControllerNode
 from vo2_control.designs import CONTROLLER_PARAMETERS
 from vo2_control.reference_node import REFERENCE_PARAMETERS
 from vo2_estimation.estimator_node import ESTIMATOR_PARAMETERS
 from vo2_identification.identifier_node import IDENTIFIER_PARAMETERS
 from vo2_interface.live.node import LIVE_PARAMETERS
-from vo2_plant_sim.plant_node import PLANT_PARAMETERS
+from vo2_interface.testing import bench
+from vo2_plant_sim.plant_node import PLANT_PARAMETERS, PlantNode
 from vo2_plant_sim.simulated_device import SIMULATED_DEVICE_PARAMETERS
 
 SOURCES = Path(__file__).resolve().parents[1] / "src"
@@ -110,6 +111,17 @@ def test_one_argument_chooses_wall_time_or_lockstep(path):
         if getattr(call.func, "id", "") == "LaunchConfiguration"
     ]
     assert {"time", "use_sim_time"} <= set(used)
+
+
+@pytest.mark.parametrize("time", ["wall", "lockstep"])
+def test_the_launch_argument_goes_before_the_parameter_file_of_the_loop(time, tmp_path):
+    launched = tmp_path / "launched.yaml"  # as launch writes it
+    launched.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"time": time, "clock": False}}}))
+    loop = SOURCES / "vo2_control" / "config" / "loop.yaml"
+    with bench(["--ros-args", "--params-file", str(loop), "--params-file", str(launched)]) as rig:
+        for kind in (PlantNode, ControllerNode):
+            assert rig.add(kind).get_parameter("time").value == time
+        assert rig.node.count_publishers("/clock") == 0
 
 
 def test_the_parameter_file_of_the_loop_holds_declared_parameters_with_valid_values():

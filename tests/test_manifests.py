@@ -10,29 +10,32 @@ import pytest
 SOURCES = Path(__file__).resolve().parents[1] / "src"
 PACKAGES = sorted(path.parent for path in SOURCES.glob("*/package.xml"))
 KEYS = {
+    "clarabel": "python3-clarabel-pip",
     "control": "python-control-pip",
     "hypothesis": "python3-hypothesis",
     "jinja2": "python3-jinja2",
-    "lz4": "python3-lz4",
     "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
     "openpyxl": "python3-openpyxl",
+    "pyarrow": "python3-pyarrow-pip",
     "pytest": "python3-pytest",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
+    "threadpoolctl": "python3-threadpoolctl",
     "tqdm": "python3-tqdm",
     "setuptools": "python3-setuptools",
     "yaml": "python3-yaml",
 }
-"""Module -> key of rosdistro's python.yaml; a ROS package has its own name."""
-WITHOUT_KEY = {"clarabel", "distributed", "pyarrow", "threadpoolctl"}
-"""rosdistro knows no key: comes with pip, see requirements.txt (distributed: the extra `dask` of vo2_identification)."""
+"""Module -> key of rosdistro's python.yaml or of rosdep.yaml here; a ROS package has its own name."""
+WITHOUT_KEY = {"distributed"}
+"""Comes with pip alone: the extra `dask` of vo2_identification."""
 WITH_ANOTHER = {
     "cycler": "matplotlib",
     "backports": "rosbags",
     "compression": "rosbags",
     "llvmlite": "numba",
+    "lz4": "rosbags",
     "slycot": "control",
 }
 """Module -> the one whose installation brings it."""

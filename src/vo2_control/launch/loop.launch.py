@@ -13,6 +13,7 @@ def generate_launch_description() -> LaunchDescription:
     clock = {
         "time": LaunchConfiguration("time"),
         "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool),
+        "clock": ParameterValue(LaunchConfiguration("clock"), value_type=bool),
     }
     parameters = [LaunchConfiguration("parameters"), LaunchConfiguration("model"), clock]
     default = PathJoinSubstitution([FindPackageShare("vo2_control"), "config", "loop.yaml"])
@@ -35,6 +36,11 @@ def generate_launch_description() -> LaunchDescription:
                 "use_sim_time",
                 default_value="false",
                 description="Whether the nodes' clocks follow /clock, which the plant publishes in lockstep.",
+            ),
+            DeclareLaunchArgument(
+                "clock",
+                default_value="true",
+                description="Whether the plant publishes /clock in lockstep; false for all loops but one on a host.",
             ),
             DeclareLaunchArgument(
                 "parameters", default_value=default, description="Parameter file of the nodes."

@@ -320,7 +320,7 @@ def test_what_came_before_the_stop_is_in_the_bag_though_the_recorder_lags_behind
 class _Stalling:
     """A recorder that stands still while it looks for topics, is asked to stop meanwhile, and is sent the rest late."""
 
-    failure, met, count, lost = None, frozenset(), 0, 0
+    failure, met, count, lost, without_sample = None, frozenset(), 0, 0, 0
     bag = SimpleNamespace(flush_period_s=0.0)
 
     def __init__(self, stop):
@@ -387,6 +387,23 @@ def test_what_does_not_arrive_is_counted_told_and_ends_with_status_1(graph, tmp_
     recording, _ = read_recording(tmp_path / "bag")
     assert f"{30_100 - kept} sample periods without a sample" in err
     assert len(recording) == kept
+
+
+def test_periods_that_a_source_left_out_are_told_and_too_many_end_with_status_1(graph, tmp_path):
+    publisher = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
+    for name, step, limit, status in (("few", 50, 5, 0), ("many", 5, 5, 1), ("allowed", 5, 30, 0)):
+        arguments = ("--output", tmp_path / name, "--topics", "/vo2/measurement", "--gap-limit", limit)
+        with running(RECORD, *arguments) as process:
+            wait_for_recorder(process, publisher)
+            publish_paced(publisher, [sample(k) for k in range(600) if k % step], 500)
+            time.sleep(0.6)
+            process.send_signal(signal.SIGINT)
+            _, err = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == status, err
+        assert "sample periods without a sample so far" in err
+        assert ("% of a topic's sample periods have no sample, more than --gap-limit 5" in err) is bool(
+            status
+        )
 
 
 def test_malformed_messages_are_left_out_and_counted(graph, tmp_path):

@@ -119,7 +119,7 @@ def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) ->
             bag.close()
         except OSError as error:
             failure = failure or error
-        return _summary(recorder, options.lost_limit, failure, stood_still_s)
+        return _summary(recorder, options, failure, stood_still_s)
     except (ValueError, RuntimeError) as error:  # rclpy raises bare RuntimeErrors of its C layer
         return refuse("record", error)
     finally:
@@ -154,7 +154,7 @@ def _take_all(recorder: Recorder, options: argparse.Namespace, stop: StopFlag, p
     period = recorder.bag.flush_period_s
     stalls = _Stalls()
     started = shown = stalls.now
-    count_shown = lost_told = 0
+    count_shown = lost_told = skipped_told = 0
     met: set[str] = set()
     while not stop.is_set and recorder.failure is None:
         # waking up for every message would take time from the loop beside it: they wait for each other
@@ -178,6 +178,14 @@ def _take_all(recorder: Recorder, options: argparse.Namespace, stop: StopFlag, p
                 lost_told = recorder.lost
                 progress.clear()
                 print(f"record: {lost_told} messages did not arrive so far", file=sys.stderr, flush=True)
+            if recorder.without_sample >= 2 * skipped_told and recorder.without_sample:
+                skipped_told = recorder.without_sample
+                progress.clear()
+                print(
+                    f"record: {skipped_told} sample periods without a sample so far",
+                    file=sys.stderr,
+                    flush=True,
+                )
     # what was published before the stop belongs into the bag, however long the queue has become
     stopped_ns, stopped = time.time_ns(), stalls.look()
     heard = stopped
@@ -193,8 +201,10 @@ def _enough(recorder: Recorder, options: argparse.Namespace) -> bool:
     return options.messages is not None and recorder.count >= options.messages
 
 
-def _summary(recorder: Recorder, lost_limit: int, failure: OSError | None, stood_still_s: float) -> int:
-    bag = recorder.bag
+def _summary(
+    recorder: Recorder, options: argparse.Namespace, failure: OSError | None, stood_still_s: float
+) -> int:
+    bag, lost_limit = recorder.bag, options.lost_limit
     counts = ", ".join(f"{topic} {count}" for topic, count in sorted(bag.counts.items())) or "none"
     if failure is not None and not bag.count:
         print(
@@ -224,6 +234,13 @@ def _summary(recorder: Recorder, lost_limit: int, failure: OSError | None, stood
         print(
             f"record: the bag lacks {recorder.lost} messages, more than --lost-limit {lost_limit}: this machine was too "
             "busy or a publisher's queue too short; record again",
+            file=sys.stderr,
+        )
+        return 1
+    if 100.0 * recorder.most_missing > options.gap_limit:
+        print(
+            f"record: {100.0 * recorder.most_missing:.3g} % of a topic's sample periods have no sample, more than --gap-limit "
+            f"{options.gap_limit:g}: its source did not keep its pace; a lower rate_hz, or less beside it, may help",
             file=sys.stderr,
         )
         return 1
@@ -288,6 +305,13 @@ def _parser() -> argparse.ArgumentParser:
         default=0,
         metavar="N",
         help="Messages that may fail to arrive before the exit status is 1. Default: 0.",
+    )
+    parser.add_argument(
+        "--gap-limit",
+        type=float,
+        default=5.0,
+        metavar="PERCENT",
+        help="Sample periods of a topic that may be without a sample before the exit status is 1. Default: 5.",
     )
     parser.add_argument("--messages", type=int, metavar="N", help="Stop after so many messages in all.")
     return parser

@@ -107,6 +107,16 @@ class Recorder(Node):
         """Messages of all topics that were sent and did not arrive."""
         return sum(check.lost for check in self.checks.values())
 
+    @property
+    def without_sample(self) -> int:
+        """Sample periods of all topics in which their sources sent nothing."""
+        return sum(check.missing for check in self.checks.values())
+
+    @property
+    def most_missing(self) -> float:
+        """The same as a share of its periods, of the topic that lacks most."""
+        return max((check.missing_share for check in self.checks.values()), default=0.0)
+
     def missing(self) -> list[str]:
         """Return a line for each topic of which something is missing or unreadable."""
         told = [(topic, check.words()) for topic, check in self.checks.items() if check.words()]

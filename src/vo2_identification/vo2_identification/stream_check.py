@@ -28,11 +28,12 @@ class StreamCheck:
     ----------
     lost : messages that were sent after the first one heard, and did not arrive
     gaps, missing : places where stamps jump ahead, and sample periods left out there
+    samples : stamps heard
     first_gap_ns : stamp after which the first gap follows, None without any
     """
 
     def __init__(self) -> None:
-        self.lost = self.gaps = self.missing = 0
+        self.lost = self.gaps = self.missing = self.samples = 0
         self.first_gap_ns: int | None = None
         self._numbers: list[int] = []
         self._publishers = self._unheard = self._since = 0
@@ -70,6 +71,7 @@ class StreamCheck:
     def hear_stamp(self, stamp_ns: int) -> None:
         """Note the stamp of a sample [ns]."""
         last_ns, self._last_ns = self._last_ns, stamp_ns
+        self.samples += 1
         if last_ns is None or stamp_ns <= last_ns:
             self._steps.clear()
             return
@@ -92,6 +94,11 @@ class StreamCheck:
             self.missing += round(step_ns / self._period_ns) - 1
             if self.first_gap_ns is None:
                 self.first_gap_ns = after_ns
+
+    @property
+    def missing_share(self) -> float:
+        """Sample periods left out, as a share of all."""
+        return self.missing / max(self.missing + self.samples, 1)
 
     def words(self) -> str:
         """Return what is missing in words, empty if nothing is."""

@@ -4,6 +4,36 @@ import os
 import subprocess
 import sys
 
+FLAPS = """
+from diagnostic_msgs.msg import DiagnosticArray
+from vo2_interface.diagnostics import Diagnostics
+from vo2_interface.testing import bench
+from vo2_interface.topics import SAMPLE_QOS
+from std_msgs.msg import Bool
+
+with bench() as rig:
+    diagnostics = Diagnostics(rig.node)
+    diagnostics.watch_listeners(rig.node.create_publisher(Bool, "other", SAMPLE_QOS))
+    for k in range(401):
+        diagnostics.report("input", "warn" if k % 2 else "ok", "lost" if k % 2 else "there")
+    before = len(rig.statuses)
+    rig.spin(1.2)
+    print(len([text for name, text, _ in rig.statuses if name.endswith("input")]), rig.status("input")[0])
+"""
+
+
+def test_two_states_that_alternate_are_no_flood_and_the_newest_is_told(tmp_path):
+    program = tmp_path / "flaps.py"
+    program.write_text(FLAPS)
+    done = subprocess.run(
+        [sys.executable, str(program)], capture_output=True, text=True, timeout=120, check=True
+    )
+    count, words = done.stdout.split()
+    assert 8 < int(count) < 40 and words == "there"
+    lost = [line for line in done.stderr.splitlines() if "input: lost" in line]
+    assert len(lost) == 8 + 4 and lost[-1].endswith("(128 times)")
+
+
 SAYS = """
 from vo2_interface.diagnostics import Diagnostics
 from vo2_interface.testing import bench

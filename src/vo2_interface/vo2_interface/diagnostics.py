@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -28,6 +29,10 @@ _LEVELS = {
 rcutils_logger._internal_callers.append(os.path.realpath(__file__))
 _WATCH_S = 0.5
 _LINKS = "links"
+_OFTEN = 8
+"""Changes of a status to the same words after which only the 16th, 32nd, 64th ... is told at once and logged."""
+_FORGOTTEN_S = 10.0
+"""Time after which such a change is a new one [s]."""
 _QUIET_LOOKS = 2
 """Looks in a row, `_WATCH_S` apart, at which an input has brought nothing before that is told."""
 
@@ -36,7 +41,8 @@ class Diagnostics:
     """Publishes one status per topic of concern (`input`, `model`, `progress`, ...).
 
     A message is sent when a status changes; `beat` repeats the present ones for late listeners. What
-    goes wrong, and that it is well again, is also logged once per change.
+    goes wrong, and that it is well again, is also logged once per change. Where it goes on changing to and fro, the eighth time
+    and more, only every doubling is logged, and who listens gets the newest twice a second.
     """
 
     def __init__(self, node: Node, *, hardware_id: str = "") -> None:
@@ -48,6 +54,8 @@ class Diagnostics:
         self._heard = b""
         self._inputs: dict[str, tuple[Callable[[], int], deque[int]]] = {}
         self._counts: dict[str, int] = {}
+        self._changes: dict[tuple[str, str], tuple[int, float]] = {}
+        self._waiting: set[str] = set()
         # one for each level: a logger wants the same severity of a place in the code every time
         self._loggers = {level: get_logger(node.get_logger().name) for level in _LEVELS}
         self._name = node.get_fully_qualified_name().lstrip("/")
@@ -68,10 +76,24 @@ class Diagnostics:
         if before == (level, text, told):
             return
         self._present[topic] = (level, text, told)
+        changed = before is None or before[:2] != (level, text)
+        number = self._times(topic, text) if changed and topic != _LINKS else 1
+        often = number > _OFTEN
+        if often and number & (number - 1) and self._watched:
+            self._waiting.add(topic)  # two states that alternate at every sample must not flood who listens
+            return
         if topic != _LINKS:
             self._send([topic], stamp_ns)
-        if before is None or before[:2] != (level, text):
-            self._log(topic, level, text, first=before is None)
+        if changed and not (often and number & (number - 1)):
+            self._log(topic, level, f"{text} ({number} times)" if often else text, first=before is None)
+
+    def _times(self, topic: str, text: str) -> int:
+        """How often a status has come to say this, since it last was silent about it for `_FORGOTTEN_S`."""
+        now = time.monotonic()
+        number, last = self._changes.get((topic, text), (0, now))
+        number = 1 if now - last > _FORGOTTEN_S else number + 1
+        self._changes[topic, text] = (number, now)
+        return number
 
     def note_sample(self, data: bytes) -> None:
         """Take the stamp of a serialized sample as the present time, for all that is told without a stamp.
@@ -122,7 +144,8 @@ class Diagnostics:
     def _report_listeners(self) -> None:
         counts = {publisher.topic_name: publisher.get_subscription_count() for publisher in self._watched}
         self.report(_LINKS, "ok", "listeners of each topic", counts)
-        self._send([_LINKS], None)
+        self._send([_LINKS, *sorted(self._waiting)], None)
+        self._waiting.clear()
         for topic, advice in self._sole.items():
             others = self._node.count_publishers(topic) - 1
             if others > 0:

@@ -180,9 +180,11 @@ def _with_courses(
     """Refits of effects that may take any course in time, where that could be worth a name."""
     problem = located.problem
     left = problem.apply_inverse_covariance(problem.residual)
+    most = max((fit.gain for fit in fits), default=0.0)
+    straight = {fit.keys[0]: fit for fit in fits}
     # some were fitted with constants held, and their gain is told against that
-    most = max((problem.residual_chi_square - fit.chi_square for fit in fits), default=0.0)
-    straight = {fit.keys[0]: fit for fit in sorted(fits, key=lambda e: -e.chi_square)}
+    drop = max((problem.residual_chi_square - fit.chi_square for fit in fits), default=0.0)
+    nearest = {fit.keys[0]: fit for fit in sorted(fits, key=lambda e: -e.chi_square)}
     found = []
     for hypothesis in candidates:
         if not hypothesis.record.course:
@@ -190,16 +192,18 @@ def _with_courses(
         line, walks, _ = course_columns(problem, hypothesis)
         clock.tick()
         gain = gain_of_course(problem, np.column_stack([line, walks]), left)
-        known = straight.get(hypothesis.key)
-        alone = problem.residual_chi_square - known.chi_square if known else 0.0
         followed = is_followed(problem, hypothesis)
+        known = (nearest if followed else straight).get(hypothesis.key)
+        alone = 0.0
         if followed:  # the pattern is not linear as far as the course goes: what is left may all be its bend
-            gain = max(gain, alone)
+            alone = problem.residual_chi_square - known.chi_square if known else 0.0
+            gain, least = max(gain, alone), limits.course * drop
             most_by_bend = problem.residual_chi_square - alone - problem.count
             worth = limits.gain + knots_of(problem) * price(problem, limits)
         else:
-            most_by_bend, worth = gain - alone, limits.gain + limits.bend * gain
-        if gain < max(limits.course * most, limits.gain) or most_by_bend < worth:
+            least, most_by_bend = limits.course * most, gain - (known.gain if known else 0.0)
+            worth = limits.gain + limits.bend * gain
+        if gain < max(least, limits.gain) or most_by_bend < worth:
             continue
         bent = with_courses(problem, [hypothesis])
         kept = {n: v for n, v in hypothesis.starts[0].items() if n not in hypothesis.magnitudes}
