@@ -44,6 +44,8 @@ SHORTLIST = 6
 """Hypotheses that are refitted in full."""
 TRIMMED = 2
 """Refits to the samples that an effect explains best."""
+LIKE_A_COURSE = 0.8
+"""Share of the gain of a course from which another effect is linearised about itself beside it."""
 RELINEARISED = 3
 """Explanations that are linearised about themselves, where constants may stand for them or another effect is as good."""
 NEAR = 4.0
@@ -139,7 +141,10 @@ def search(
     if hidden and not first_use and not _without_constants(located, fits, limits, clock):
         fixed, unmoved = _with_fixed_constants(located, candidates, fits, limits, shortlist, clock)
         fits += unmoved
-    fits += _with_courses(located, candidates, fits, limits, clock)
+    courses = _with_courses(located, candidates, fits, limits, clock)
+    if any(is_followed(problem, fit.hypotheses[0]) for fit in courses):
+        fits += _beside_courses(located, fits, courses, clock)
+    fits += courses
     before = problem.residual_chi_square
     best: dict[str, Explanation] = {}
     for fit in sorted(fits, key=lambda e: cost(e, problem, limits)):
@@ -222,6 +227,22 @@ def _with_courses(
             )
         found.append(replace(fit, gain=problem.residual_chi_square - fit.chi_square, deviation=change))
     return found
+
+
+def _beside_courses(
+    located: Located, fits: Sequence[Explanation], courses: Sequence[Explanation], clock: Clock
+) -> list[Explanation]:
+    """The best of the others, linearised about themselves as a course is that was simulated: like is compared with like."""
+    problem = located.problem
+    drop = problem.residual_chi_square - min(fit.chi_square for fit in courses)
+    nearest = {fit.keys[0]: fit for fit in sorted(fits, key=lambda e: -e.chi_square)}
+    near = [
+        fit
+        for fit in sorted(nearest.values(), key=lambda e: e.chi_square)
+        if problem.residual_chi_square - fit.chi_square > LIKE_A_COURSE * drop
+        and not any(fit.keys == course.keys for course in courses)
+    ][:RELINEARISED]
+    return parallel_map(lambda fit: refit_about(located.nominal, problem, fit, tick=clock.tick)[1], near)
 
 
 def _refitted(
