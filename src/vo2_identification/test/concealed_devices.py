@@ -19,7 +19,7 @@ def measured(recording: Recording) -> Recording:
 
 
 def concealed(
-    effects=None, *, seed=4, samples=4000, colour=0.0, device_seed=SEED, device=DEVICE, moved=()
+    effects=None, *, seed=4, samples=4000, colour=0.0, device_seed=SEED, device=DEVICE, moved=(), room=None
 ) -> Recording:
     nominal = preset(device)
     dt = nominal.sample_period
@@ -32,7 +32,10 @@ def concealed(
     c = concealing.coefficients.copy()
     for place, factor, added in moved:  # constants of another day
         c[place] = factor * c[place] + added
-    return measured(replace(concealing, coefficients=c).simulate(current, seed=seed + 100))
+    concealing = replace(concealing, coefficients=c)
+    if room is not None:  # kelvins that the room is warmer, evenly over the recording
+        concealing = concealing.with_course("ambient_drift", room)
+    return measured(concealing.simulate(current, seed=seed + 100))
 
 
 def calibration(device_seed=SEED, device=DEVICE, effects=None, *, samples=12_000) -> Recording:

@@ -57,6 +57,32 @@ def test_a_room_some_kelvin_off_is_no_laser_that_heats_all_the_time(parameters, 
     assert moved.std < 0.5
 
 
+PAST = np.linspace(0.0, 1.0, 1000)
+
+
+@pytest.mark.parametrize(
+    "room",
+    [
+        pytest.param(2.0 * np.sin(5.0 * np.pi * PAST + 1.0), id="swings"),
+        pytest.param(3.0 * (1.0 - np.exp(-5.0 * PAST)), id="warms up", marks=pytest.mark.slow),
+        pytest.param(1.5 / (1.0 + np.exp(-40.0 * (PAST - 0.5))), id="steps", marks=pytest.mark.slow),
+    ],
+)
+def test_a_room_that_moves_by_kelvins_within_a_recording_is_named_with_its_course(parameters, room) -> None:
+    answer = diagnose([concealed(room=room)], parameters)
+    (effect,) = answer.effects
+    assert (answer.verdict, effect.id, answer.moved) == ("differs", "ambient_drift", [])
+    low, high = map(float, re.search(r"course in time from (\S+) to (\S+) K", effect.form).groups())
+    assert low == pytest.approx(room.min(), abs=0.3) and high == pytest.approx(room.max(), abs=0.3)
+
+
+@pytest.mark.slow
+def test_a_second_body_is_no_course_of_the_room(parameters) -> None:
+    slow = {"second_thermal_mode": {"time_constant": 0.5, "share": 0.06, "gain": 0.06}}
+    (effect,) = diagnose([concealed(slow)], parameters).effects
+    assert effect.id == "second_thermal_mode"
+
+
 @pytest.mark.slow
 def test_sensors_set_anew_are_told_apart(parameters) -> None:
     answer = diagnose(

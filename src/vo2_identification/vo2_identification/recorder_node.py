@@ -282,7 +282,8 @@ class Recorder(Node):
             log_time = latest = self._latest_ns or 0
             if _begins_with_stamp(self._types[topic]):
                 stamp_ns = message_stamp_ns(data)
-                if abs(stamp_ns - latest) < _ANOTHER_CLOCK_NS:
+                # 0 is no time: a node on simulated time that has not heard any yet
+                if stamp_ns and abs(stamp_ns - latest) < _ANOTHER_CLOCK_NS:
                     log_time = stamp_ns
             self._write(topic, log_time, data)
 

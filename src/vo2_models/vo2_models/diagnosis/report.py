@@ -585,7 +585,7 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
                     parameters,
                     hypothesis.signal or None,
                     record.family(hypothesis.signal),
-                    _form(hypothesis, study.decision.chosen, index),
+                    _form(study, hypothesis, study.decision.chosen, index),
                     [theirs for ours, theirs in study.decision.rival_pairs if ours == record.id],
                 )
             )
@@ -627,16 +627,30 @@ def _one_of(study: Study, best: NamedEffect) -> NamedEffect:
     )
 
 
+def _extent(study: Study, hypothesis: Hypothesis, chosen: Explanation, index: int) -> str:
+    """Between which amplitudes a course goes; empty of several recordings, each of which has its own."""
+    parts, name = study.located.problem.parts, hypothesis.record.course
+    if len(parts) > 1:
+        return ""
+    time = parts[0].dt * np.arange(1, parts[0].size + 1)
+    values = chosen.values[index].get(name, 0.0) * time + chosen.courses[hypothesis.key].amplitude(time.size)
+    description = study.located.problem.nominal.model.description
+    unit = description.own_unit(hypothesis.parameter(name).unit, hypothesis.signal).removesuffix("/s")
+    if unit == "1":
+        return f" from {100 * values.min():.3g} to {100 * values.max():.3g} %"
+    return f" from {values.min():.3g} to {values.max():.3g} {unit}"
+
+
 def _ids(keys: Sequence[str]) -> list[str]:
     """Ids of effects, each once."""
     return list(dict.fromkeys(key.partition(":")[0] for key in keys))
 
 
-def _form(hypothesis: Hypothesis, chosen: Explanation, index: int) -> str:
+def _form(study: Study, hypothesis: Hypothesis, chosen: Explanation, index: int) -> str:
     """Which of its forms an effect has: what it depends on where it has a choice, and which terms are not zero."""
     words = [hypothesis.record.id.replace("_", " ")]
     if hypothesis.key in chosen.courses:
-        words.append("any slow course in time")
+        words.append("any slow course in time" + _extent(study, hypothesis, chosen, index))
     for name, value in chosen.values[index].items():
         parameter = hypothesis.parameter(name)
         if name in hypothesis.choices:
