@@ -1,12 +1,15 @@
 """An effect that was there in the calibration too: nominal device and effect are fitted together."""
 
+from dataclasses import replace
+
 import pytest
 from concealed_devices import DEVICE, SEED, calibration, concealed, measured
 from vo2_identification.bags import write_bag
 from vo2_identification.diagnose import main
 from vo2_models.device import truth
 from vo2_models.device.coefficients import Coefficient
-from vo2_models.diagnosis import study
+from vo2_models.diagnosis import pipeline, study
+from vo2_models.diagnosis.corrected_model import distance
 from vo2_models.diagnosis.report import assemble_diagnosis
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.model_file import save_model_parameters
@@ -38,6 +41,25 @@ def test_a_creep_that_was_there_all_along_is_measured(seen) -> None:
     assert found["time_constant"].value == pytest.approx(0.2, rel=0.1)
     # the height of the refitted loop is what would come with it
     assert "gain" not in found
+
+
+def test_a_model_with_the_name_comes_nearer_and_one_with_a_false_name_does_not(seen) -> None:
+    assert distance(seen) < 0.5
+    chosen = seen.decision.chosen
+    leak = next(h for h in seen.search.candidates if h.key == "leakage_resistance")
+    false = replace(chosen, hypotheses=(leak,), values=({"conductance": 1e-4},))
+    assert distance(replace(seen, decision=replace(seen.decision, chosen=false))) > seen.limits.farther
+
+
+@pytest.mark.slow
+def test_a_name_with_which_no_model_comes_near_is_not_given(known, monkeypatch) -> None:
+    recording, parameters = known
+    tried = []
+    monkeypatch.setattr(pipeline, "distance", lambda some: tried.append(some.decision.chosen.keys) or 9.0)
+    answer = study([concealed(ALL_ALONG, seed=21, samples=2500)], parameters, calibration=[recording])
+    assert tried[0] == ("creep",) and len(set(tried)) == len(tried)
+    assert answer.decision.chosen is None
+    assert all(effect.id == "unknown" for effect in assemble_diagnosis(answer).effects)
 
 
 def test_what_the_calibration_had_taken_up_is_told_before_and_after(seen) -> None:

@@ -108,7 +108,7 @@ def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) ->
         join_graph([sys.argv[0], *ros_args])
         recorder = Recorder(bag, topics, wanted)
         recorder.idle()
-        what = ", ".join(recorder.topics) or "what appears on the graph"
+        what = ", ".join(recorder.topics) if wanted is None else "what appears on the graph"
         print(f"Recording {what} into {bag.path}; Ctrl-C ends it.", flush=True)
         gc.freeze()  # what is loaded by now never goes: without it every collection stalls the loop
         with Progress("record", lines=False) as progress:

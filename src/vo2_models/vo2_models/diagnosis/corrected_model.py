@@ -27,7 +27,7 @@ from vo2_models.identification.loops_fit import COLD
 from vo2_models.parameters import Value
 from vo2_models.recording import RESISTANCE
 
-__all__ = ["CorrectedModel", "StandIn", "corrected_model", "stand_in"]
+__all__ = ["CorrectedModel", "StandIn", "corrected_model", "distance", "stand_in"]
 
 Floats = NDArray[np.float64]
 WORTH = 0.05
@@ -130,6 +130,21 @@ def corrected_model(study: Study) -> CorrectedModel:
     # what is told is in the file, however little of the residual it is
     parameters, nrmse = _nearest(study, _written(study, None))
     return CorrectedModel(parameters, None, nrmse)
+
+
+def distance(study: Study) -> float:
+    """Return how far the corrected model is from the recordings, over how far the model is as it is (r.m.s. in noise levels).
+
+    Where the whole nominal device is fitted anew, its loops and an effect may each make up for what the other does. Then no model
+    that holds the effect comes near the recordings, and what was fitted together is a coincidence and not physics.
+
+    Parameters
+    ----------
+    study : with a decision that names something
+    """
+    as_it_is = _judged(study, study.located.nominal.parameters)[0]
+    corrected = min(_judged(study, parameters)[0] for parameters in _written(study, None))
+    return float(np.sqrt(corrected / max(as_it_is, 1e-300)))
 
 
 def _nearest(
