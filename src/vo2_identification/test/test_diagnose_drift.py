@@ -60,12 +60,13 @@ def test_a_room_some_kelvin_off_is_no_laser_that_heats_all_the_time(parameters, 
 PAST = np.linspace(0.0, 1.0, 1000)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "room",
     [
         pytest.param(2.0 * np.sin(5.0 * np.pi * PAST + 1.0), id="swings"),
-        pytest.param(3.0 * (1.0 - np.exp(-5.0 * PAST)), id="warms up", marks=pytest.mark.slow),
-        pytest.param(1.5 / (1.0 + np.exp(-40.0 * (PAST - 0.5))), id="steps", marks=pytest.mark.slow),
+        pytest.param(3.0 * (1.0 - np.exp(-5.0 * PAST)), id="warms up"),
+        pytest.param(1.5 / (1.0 + np.exp(-40.0 * (PAST - 0.5))), id="steps"),
     ],
 )
 def test_a_room_that_moves_by_kelvins_within_a_recording_is_named_with_its_course(parameters, room) -> None:

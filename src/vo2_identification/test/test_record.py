@@ -391,11 +391,11 @@ def test_what_does_not_arrive_is_counted_told_and_ends_with_status_1(graph, tmp_
 
 def test_periods_that_a_source_left_out_are_told_and_too_many_end_with_status_1(graph, tmp_path):
     publisher = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
-    for name, step, limit, status in (("few", 50, 5, 0), ("many", 5, 5, 1), ("allowed", 5, 30, 0)):
+    for name, limit, status in (("many", 5, 1), ("allowed", 30, 0)):
         arguments = ("--output", tmp_path / name, "--topics", "/vo2/measurement", "--gap-limit", limit)
         with running(RECORD, *arguments) as process:
             wait_for_recorder(process, publisher)
-            publish_paced(publisher, [sample(k) for k in range(600) if k % step], 500)
+            publish_paced(publisher, [sample(k) for k in range(600) if k % 5], 500)
             time.sleep(0.6)
             process.send_signal(signal.SIGINT)
             _, err = process.communicate(timeout=PATIENCE_S)

@@ -31,6 +31,8 @@ _WATCH_S = 0.5
 _LINKS = "links"
 _OFTEN = 8
 """Changes of a status to the same words after which only the 16th, 32nd, 64th ... is told at once and logged."""
+_MOST_WORDS = 200
+"""Different words that are counted at a time."""
 _FORGOTTEN_S = 10.0
 """Time after which such a change is a new one [s]."""
 _QUIET_LOOKS = 2
@@ -92,6 +94,8 @@ class Diagnostics:
         now = time.monotonic()
         number, last = self._changes.get((topic, text), (0, now))
         number = 1 if now - last > _FORGOTTEN_S else number + 1
+        if len(self._changes) > _MOST_WORDS:  # words with numbers in them are new every time
+            self._changes.clear()
         self._changes[topic, text] = (number, now)
         return number
 

@@ -149,13 +149,12 @@ def course_columns(problem: LinearisedProblem, hypothesis: Hypothesis) -> tuple[
         walks[row.where, own] = (line[row.where] / past)[:, None] * walks_of(count, part.size, start)
     length = problem.parts[0].size * problem.parts[0].dt
     bend = Bend(hypothesis.scales[name] / MAGNITUDE_STEP * length, np.zeros(count), start)
-    bend = known if bent and known is not None else bend
+    if bent and known is not None:
+        bend = known
     if followed:  # a constant acts from before the recording on: by simulation
         weights = bend.weights if bend.weights.size else np.zeros(count)
         further = weights + np.eye(count)[0] * (MAGNITUDE_STEP / start)
-        there = replace(origin, courses={key: replace(bend, shares=np.zeros(count), weights=further)})
-        if bent:
-            there = replace(origin, courses={key: replace(bend, weights=further)})
+        there = replace(origin, courses={key: replace(bend, weights=further)})
         walks[:, 0] = there.stack(there.responses(hypothesis.effects(here)), before) / (
             MAGNITUDE_STEP / start
         )
