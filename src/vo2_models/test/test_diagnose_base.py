@@ -413,6 +413,12 @@ def test_a_course_that_is_simulated_is_a_straight_line_where_it_is_one(key) -> N
     assert not np.allclose(course, chain.run(current, dt=1e-3), rtol=0.0, atol=1e-2 * np.ptp(line, axis=0))
 
 
+@pytest.mark.parametrize("key", ["creep", "no_such_effect"])
+def test_a_course_of_what_takes_none_is_refused(key) -> None:
+    with pytest.raises(ValueError, match=f"{key}: need an effect with a hook that takes `course`"):
+        _model().model.simulation.with_course(key, np.zeros(10))
+
+
 def test_a_bend_raised_by_a_weight_is_a_constant_more() -> None:
     bend = Bend(0.5, np.zeros(12), 20.0, np.linspace(0.0, 1.0, 12))
     assert np.allclose(bend.raised(0.1).amplitude(300) - bend.amplitude(300), 0.5 * 20.0 * 0.1, atol=1e-9)

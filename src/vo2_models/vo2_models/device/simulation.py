@@ -151,9 +151,16 @@ class Simulation:
         ----------
         key : of an effect whose record has a `course`; it need not be on
         course : (m,), in the unit of the amplitude
+
+        Raises
+        ------
+        ValueError : no such effect, or one whose hooks take no course.
         """
+        block = blocks().get(key)
+        if block is None or not effects()[block.effect].takes_course:
+            raise ValueError(f"{key}: need an effect with a hook that takes `course`")
         c = self.coefficients.copy()
-        c[blocks()[key].active] = 1.0
+        c[block.active] = 1.0
         return Simulation(**{**self.__dict__, "coefficients": c, "course": course})
 
     @property

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from inspect import signature
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,8 +108,7 @@ def is_followed(problem: LinearisedProblem, hypothesis: Hypothesis) -> bool:
     problem : with the recordings
     hypothesis : of the effect
     """
-    takes = [signature(hook).parameters for hook in hypothesis.record.hooks.values()]
-    return len(problem.parts) == 1 and any("course" in names for names in takes)
+    return len(problem.parts) == 1 and hypothesis.record.takes_course
 
 
 def course_columns(problem: LinearisedProblem, hypothesis: Hypothesis) -> tuple[Floats, Floats, Bend]:

@@ -278,6 +278,11 @@ class Effect:
         """Return the parameter values at which the effect is off."""
         return {parameter.name: float(parameter.default) for parameter in self.parameters}  # type: ignore[arg-type]
 
+    @property
+    def takes_course(self) -> bool:
+        """Whether a hook takes the course of the amplitude, so that a large one is simulated."""
+        return any("course" in inspect.signature(hook).parameters for hook in self.hooks.values())
+
     def reaches(self, device: str, signal: str = "") -> tuple[str, ...]:
         """Return the channels the effect reaches on a device: the signal alone for a signal effect."""
         return tuple(name for name in self.reaches_any(device) if not self.signal or name == signal)
