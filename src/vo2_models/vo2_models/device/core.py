@@ -194,12 +194,19 @@ def initial_transitions(kind, c, x, packed_r, packed_d, play_r, play_d, levels, 
 
 @inner
 def _decay(x, rate, tau, h):
-    """Rise in a step of h [s] per kelvin of surplus; kept, as most steps ask for the same."""
-    if rate != x[S.LAG_RATE] or tau != x[S.LAG_TIME] or h != x[S.LAG_STEP]:
+    """Rise in a step of h [s] per kelvin of surplus; two are kept, as a dead time splits each sample in two steps."""
+    if rate != x[S.LAG_RATE] or tau != x[S.LAG_TIME]:
         x[S.LAG_RATE] = rate
         x[S.LAG_TIME] = tau
-        x[S.LAG_STEP] = h
-        x[S.LAG_DECAY] = -math.expm1(-rate * h / tau) / rate if abs(rate) > 1e-6 else h / tau
+        x[S.LAG_STEP] = 0.0
+        x[S.LAG_OTHER_STEP] = 0.0
+    if h != x[S.LAG_STEP]:
+        step, decay = x[S.LAG_STEP], x[S.LAG_DECAY]
+        x[S.LAG_STEP], x[S.LAG_DECAY] = x[S.LAG_OTHER_STEP], x[S.LAG_OTHER_DECAY]
+        x[S.LAG_OTHER_STEP], x[S.LAG_OTHER_DECAY] = step, decay
+        if h != x[S.LAG_STEP]:
+            x[S.LAG_STEP] = h
+            x[S.LAG_DECAY] = -math.expm1(-rate * h / tau) / rate if abs(rate) > 1e-6 else h / tau
     return x[S.LAG_DECAY]
 
 

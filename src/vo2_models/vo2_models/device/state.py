@@ -51,10 +51,12 @@ class Slot(IntEnum):
     COUNT_R = auto()  # domains switched
     COUNT_D = auto()
     RESISTANCE = auto()  # ohm
-    LAG_RATE = auto()  # cached relaxation rate and the decay that belongs to it
+    LAG_RATE = auto()  # cached relaxation rate, and two steps with the decays that belong to them
     LAG_TIME = auto()
     LAG_STEP = auto()
     LAG_DECAY = auto()
+    LAG_OTHER_STEP = auto()
+    LAG_OTHER_DECAY = auto()
     COURSE = auto()  # what a course in time adds to the amplitude of the effect that has one
 
 

@@ -30,6 +30,7 @@ from vo2_models.diagnosis.result import (
 )
 from vo2_models.diagnosis.stages import Study
 from vo2_models.effects.record import CHOICE
+from vo2_models.numerics.parallel import parallel_map
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
 __all__ = [
@@ -414,14 +415,17 @@ def _weights(study: Study, everyone: Sequence[Explanation], chi: Sequence[float]
         return weights
     change = _change(problem, same)
     dearer = costs - np.array(chi)
-    odds = [
-        # a fit about itself may be far beyond what the simulation is linear over here: its chi-square is all that counts then
-        odds_of_rival(problem, change, other, dearer=more, worse=q - chi[0])
-        if all(_holds(problem, *each) for each in ((same, change), (rival, other)))
-        else 0.0
-        for rival, q, more in zip(everyone[1:], chi[1:], dearer[1:] - dearer[0], strict=True)
-        for other in [_change(problem, rival)]
-    ]
+
+    def odds_of(place: int) -> float:
+        other = _change(problem, everyone[place])
+        if not _holds(problem, everyone[place], other):
+            return 0.0
+        more, worse = dearer[place] - dearer[0], chi[place] - chi[0]
+        return odds_of_rival(problem, change, other, dearer=more, worse=worse)
+
+    # a fit about itself may be far beyond what the simulation is linear over here: its chi-square is all that counts then
+    places = range(1, len(everyone))
+    odds = parallel_map(odds_of, places) if _holds(problem, same, change) else [0.0 for _ in places]
     return beside_the_first(weights, odds)
 
 
