@@ -420,9 +420,11 @@ def test_a_course_of_what_takes_none_is_refused(key) -> None:
 
 
 def test_a_bend_raised_by_a_weight_is_a_constant_more() -> None:
-    bend = Bend(0.5, np.zeros(12), 20.0, np.linspace(0.0, 1.0, 12))
-    assert np.allclose(bend.raised(0.1).amplitude(300) - bend.amplitude(300), 0.5 * 20.0 * 0.1, atol=1e-9)
-    assert np.all(Bend(0.5, np.zeros(12)).amplitude(300) == 0.0)
+    bend = Bend(0.25, np.zeros((2, 12)), 20.0, np.linspace(0.0, 1.0, 24).reshape(2, 12))
+    for place in range(2):
+        before, after = (b.amplitude(place, 300, 2.0) for b in (bend, bend.raised(0.1)))
+        assert np.allclose(after - before, 0.25 * 2.0 * 20.0 * 0.1, atol=1e-9)
+    assert np.all(Bend(0.25, np.zeros((2, 12))).amplitude(1, 300, 2.0) == 0.0)
 
 
 def test_a_room_that_swings_by_more_than_a_loop_is_linear_over_is_followed() -> None:
@@ -443,7 +445,7 @@ def test_a_room_that_swings_by_more_than_a_loop_is_linear_over_is_followed() -> 
     assert fit.chi_square < 1.1 * there.count
     assert line.chi_square > 4.0 * there.count
     rate, bend = fit.values[0]["rate"], fit.courses["ambient_drift"]
-    found = rate * dt * np.arange(size) + bend.amplitude(size)
+    found = rate * dt * np.arange(size) + bend.amplitude(0, size, size * dt)
     assert np.sqrt(np.mean((found - swing) ** 2)) < 0.1
 
 

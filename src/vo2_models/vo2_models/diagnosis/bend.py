@@ -1,4 +1,4 @@
-"""How an effect's amplitude departs from a straight line in time, over one recording."""
+"""How an effect's amplitude departs from a straight line in time, over each recording."""
 
 from __future__ import annotations
 
@@ -32,29 +32,38 @@ def walks_of(count: int, size: int, start: float = 1.0) -> Floats:
 
 @dataclass(frozen=True)
 class Bend:
-    """Amplitude f(t) = unit sum_k w_k (walk_k(t) - share_k t / T), T the length of the recording.
+    """Amplitude f(t) = rate (T sum_k w_pk walk_k(t) - line t) in recording p, T its length; the line is common to all.
 
     Attributes
     ----------
-    unit : amplitude of a walk of weight 1, in the unit of the effect's amplitude
-    shares : (c,) of each walk, what the straight line has of it
-    start : amplitude of the first walk, a constant, in `unit`
-    weights : (c,); empty where everything is linear about the straight line
+    rate : by which a walk of weight 1 steps over a recording, in the unit of the effect's amplitude a second
+    shares : (p, c) of each walk, what the straight line has of it
+    start : amplitude of the first walk of each recording, a constant, in those steps
+    weights : (p, c); empty where everything is linear about the straight line
+    line : sum of shares and weights
     """
 
-    unit: float
+    rate: float
     shares: Floats
     start: float = 1.0
-    weights: Floats = field(default_factory=lambda: np.zeros(0))
+    weights: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    line: float = 0.0
+
+    def by(self, weights: Floats) -> Bend:
+        """Return the same with other weights, (p, c) or (p c,)."""
+        own = np.reshape(weights, self.shares.shape)
+        return replace(self, weights=own, line=float(np.sum(self.shares * own)))
 
     def raised(self, by: float) -> Bend:
-        """Return the same with its first walk, the constant, larger by a weight."""
-        return replace(self, weights=np.concatenate([self.weights[:1] + by, self.weights[1:]]))
+        """Return the same with the first walk of each recording, the constant, larger by a weight."""
+        weights = self.weights.copy()
+        weights[:, 0] += by
+        return self.by(weights)
 
-    def amplitude(self, size: int) -> Floats:
-        """Return f at the samples (size,) of the recording, 0 without weights."""
+    def amplitude(self, place: int, size: int, length: float) -> Floats:
+        """Return f at the samples (size,) of a recording of a length [s], by its place; 0 without weights."""
         if not self.weights.size:
             return np.zeros(size)
         past = (np.arange(size) + 1.0) / size
-        walks = walks_of(self.weights.size, size, self.start)
-        return np.asarray(self.unit * (walks @ self.weights - past * float(self.shares @ self.weights)))
+        walks = walks_of(self.weights.shape[1], size, self.start) @ self.weights[place]
+        return np.asarray(self.rate * length * (walks - past * self.line))

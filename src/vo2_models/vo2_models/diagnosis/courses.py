@@ -23,9 +23,9 @@ __all__ = [
     "constants_like",
     "course_columns",
     "gain_of_course",
-    "is_followed",
     "knots_of",
     "with_courses",
+    "worth_their_price",
 ]
 
 Floats = NDArray[np.float64]
@@ -37,20 +37,27 @@ SAME = 0.999
 """Cosine of two changes of the recording above which they are one."""
 FEWEST, MOST = 6, 96
 """Least splines of a recording, and most of all together where there are several."""
+SMOOTH = (4, 8)
+"""Splines of a course that hardly bends: of several recordings each one's line alone would cost a hundred splines else."""
 
 
-def knots_of(problem: LinearisedProblem) -> int:
-    """Return the number of splines over each recording.
+def knots_of(problem: LinearisedProblem) -> tuple[int, ...]:
+    """Return the numbers of splines over each recording that may be tried, the largest first.
 
     Parameters
     ----------
     problem : tells how many recordings there are
     """
-    return int(np.clip(MOST // len(problem.parts), FEWEST, KNOTS))
+    most = int(np.clip(MOST // len(problem.parts), FEWEST, KNOTS))
+    return (most,) if len(problem.parts) == 1 else (most, *(count for count in SMOOTH if count < most))
 
 
 def with_courses(
-    problem: LinearisedProblem, hypotheses: Sequence[Hypothesis], held: Sequence[int] = ()
+    problem: LinearisedProblem,
+    hypotheses: Sequence[Hypothesis],
+    held: Sequence[int] = (),
+    *,
+    knots: int | None = None,
 ) -> LinearisedProblem:
     """Return the same problem, in whose nuisance model these effects may bend in time.
 
@@ -59,18 +66,19 @@ def with_courses(
     problem : without the columns of courses
     hypotheses : of records with a `course`, a parameter whose product with the time is the amplitude
     held : places of constants that do not move, see `constants_like`
+    knots : splines over each recording, those that the problem's courses have already or the most by default
     """
     if not hypotheses:
         return problem
     thermal = problem.nuisance.thermal.copy()
     thermal[:, list(held)] = 0.0
-    found = [course_columns(problem, hypothesis) for hypothesis in hypotheses]
+    found = [course_columns(problem, hypothesis, knots) for hypothesis in hypotheses]
     columns = np.hstack([walks for _, walks, _ in found])
     bends = {h.key: bend for h, (_, _, bend) in zip(hypotheses, found, strict=True)}
     bent = np.zeros(problem.residual.size)
     for _, walks, bend in found:
         if bend.weights.size:
-            bent += walks @ bend.weights
+            bent += walks @ bend.weights.ravel()
     return replace(
         problem,
         nuisance=replace(problem.nuisance, courses=columns, thermal=thermal),
@@ -92,26 +100,12 @@ def bent_by(problem: LinearisedProblem, vector: Floats) -> dict[str, Bend]:
         return dict(problem.courses)
     weights = problem.nuisance.course_weights(problem.fit_nuisance(vector))
     each = np.split(weights, max(len(problem.courses), 1))
-    return {
-        key: replace(bend, weights=own)
-        for (key, bend), own in zip(problem.courses.items(), each, strict=True)
-    }
+    return {key: bend.by(own) for (key, bend), own in zip(problem.courses.items(), each, strict=True)}
 
 
-def is_followed(problem: LinearisedProblem, hypothesis: Hypothesis) -> bool:
-    """Return whether the simulation follows a course of the effect that is not small.
-
-    Its hooks must take it, and there must be one recording: each would have a course of its own.
-
-    Parameters
-    ----------
-    problem : with the recordings
-    hypothesis : of the effect
-    """
-    return len(problem.parts) == 1 and hypothesis.record.takes_course
-
-
-def course_columns(problem: LinearisedProblem, hypothesis: Hypothesis) -> tuple[Floats, Floats, Bend]:
+def course_columns(
+    problem: LinearisedProblem, hypothesis: Hypothesis, knots: int | None = None
+) -> tuple[Floats, Floats, Bend]:
     """Return whitened columns of one effect, its straight line (N,) and random walks from spline to spline (N, c), and the bend.
 
     A unit of a walk is a step as large as typical magnitudes make over the recording. The straight line is taken off walks
@@ -121,6 +115,7 @@ def course_columns(problem: LinearisedProblem, hypothesis: Hypothesis) -> tuple[
     ----------
     problem : whose nuisance model is to take the course
     hypothesis : of a record with a `course`
+    knots : splines over each recording; those that the problem's course has already, or the most, by default
     """
     key, name = hypothesis.key, hypothesis.record.course
     typical = {n: 0.0 if n in hypothesis.magnitudes else v for n, v in hypothesis.starts[0].items()}
@@ -138,29 +133,31 @@ def course_columns(problem: LinearisedProblem, hypothesis: Hypothesis) -> tuple[
     moved = hypothesis.effects({**here, name: here.get(name, 0.0) + hypothesis.scales[name]})
     line = origin.stack(origin.responses(moved), before) / MAGNITUDE_STEP
     # where it begins is nobody's knowledge: a constant of the device that does the same must not move for it
-    followed = is_followed(problem, hypothesis)
-    count, start = knots_of(problem), STARTS if followed else 1.0
-    walks = np.zeros((line.size, count * len(problem.parts)))
-    for row, part, _ in problem.iterate():
-        past = (np.arange(part.size) + 1.0) / part.size
-        own = slice(count * row.part, count * (row.part + 1))
-        walks[row.where, own] = (line[row.where] / past)[:, None] * walks_of(count, part.size, start)
-    length = problem.parts[0].size * problem.parts[0].dt
-    bend = Bend(hypothesis.scales[name] / MAGNITUDE_STEP * length, np.zeros(count), start)
+    followed = hypothesis.record.takes_course
+    count = knots or (known.shares.shape[1] if bent and known is not None else knots_of(problem)[0])
+    start = STARTS if followed else 1.0
+    bend = Bend(hypothesis.scales[name] / MAGNITUDE_STEP, np.zeros((len(problem.parts), count)), start)
     if bent and known is not None:
         bend = known
+    changed = line
     if followed:  # a constant acts from before the recording on: by simulation
-        weights = bend.weights if bend.weights.size else np.zeros(count)
-        further = weights + np.eye(count)[0] * (MAGNITUDE_STEP / start)
-        there = replace(origin, courses={key: replace(bend, weights=further)})
-        walks[:, 0] = there.stack(there.responses(hypothesis.effects(here)), before) / (
-            MAGNITUDE_STEP / start
+        weights = bend.weights.copy() if bend.weights.size else np.zeros_like(bend.shares)
+        weights[:, 0] += MAGNITUDE_STEP / start
+        there = replace(origin, courses={key: replace(bend, weights=weights)})
+        changed = there.stack(there.responses(hypothesis.effects(here)), before) / (MAGNITUDE_STEP / start)
+    walks = np.zeros((line.size, bend.shares.size))
+    for row, part, _ in problem.iterate():
+        past = (np.arange(part.size) + 1.0) / part.size
+        first = count * row.part
+        walks[row.where, first : first + count] = (line[row.where] / past)[:, None] * walks_of(
+            count, part.size, start
         )
+        if followed:
+            walks[row.where, first] = changed[row.where]
     if bent:
-        walks[:, 1:] -= np.outer(line, bend.shares[1:])
-        return line, walks, bend
+        return line, walks - np.outer(line, bend.shares), bend
     share = line @ walks / max(float(line @ line), 1e-300)
-    return line, walks - np.outer(line, share), replace(bend, shares=share)
+    return line, walks - np.outer(line, share), replace(bend, shares=share.reshape(bend.shares.shape))
 
 
 def constants_like(problem: LinearisedProblem, hypothesis: Hypothesis) -> dict[int, float]:
@@ -173,10 +170,11 @@ def constants_like(problem: LinearisedProblem, hypothesis: Hypothesis) -> dict[i
 
     Returns
     -------
-    place -> weight of the course's first walk that does what a unit of the constant does
+    place -> weight of the course's first walk, in every recording, that does what a unit of the constant does
     """
     line, walks, bend = course_columns(problem, hypothesis)
-    offset = walks[:, 0] + bend.shares[0] * line
+    first = walks[:, :: bend.shares.shape[1]]
+    offset = np.sum(first, axis=1) + float(np.sum(bend.shares[:, 0])) * line
     own = float(np.linalg.norm(offset))
     found = {}
     for place, column in enumerate(problem.nuisance.thermal.T):
@@ -184,6 +182,25 @@ def constants_like(problem: LinearisedProblem, hypothesis: Hypothesis) -> dict[i
         if abs(along) > SAME * own * size:
             found[place] = along / own**2
     return found
+
+
+def worth_their_price(
+    problem: LinearisedProblem, hypothesis: Hypothesis, left: Floats, price: float
+) -> tuple[int, float]:
+    """Return how many splines over each recording are worth what they cost, and the drop of chi-square by them.
+
+    Parameters
+    ----------
+    problem : without courses
+    hypothesis : of a record with a `course`
+    left : (N,) what the nuisance model leaves of the residual
+    price : of one more spline over each recording, in chi-square; 0 for as many as there may be
+    """
+    tried = []
+    for knots in knots_of(problem) if price else knots_of(problem)[:1]:
+        line, walks, _ = course_columns(problem, hypothesis, knots)
+        tried.append((knots, gain_of_course(problem, np.column_stack([line, walks]), left)))
+    return max(tried, key=lambda one: one[1] - one[0] * price)
 
 
 def gain_of_course(problem: LinearisedProblem, columns: Floats, left: Floats) -> float:

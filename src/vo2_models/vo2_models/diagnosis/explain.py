@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.bend import Bend
-from vo2_models.diagnosis.courses import bent_by, knots_of
+from vo2_models.diagnosis.courses import bent_by
 from vo2_models.diagnosis.hypotheses import MAGNITUDE_STEP, Hypothesis
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.problem import LinearisedProblem
@@ -142,7 +142,7 @@ def cost(explanation: Explanation, problem: LinearisedProblem, limits: Limits) -
     problem : it was fitted to
     limits : with the samples that make an effective one
     """
-    splines = knots_of(problem) * len(problem.parts) * len(explanation.courses)
+    splines = sum(bend.shares.size for bend in explanation.courses.values())
     return explanation.chi_square + (len(explanation.coordinates) + splines) * price(problem, limits)
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.diagnosis.courses import constants_like, is_followed, with_courses
+from vo2_models.diagnosis.courses import constants_like, with_courses
 from vo2_models.diagnosis.explain import (
     BRIEF,
     Explanation,
@@ -150,7 +150,7 @@ def refit_about(
         fit = fit_jointly(there, best.hypotheses, fit.values, iterations=6, tick=tick)
         return there, either_way(there, fit, tick=tick)
 
-    followed = [h for h in best.hypotheses if h.key in best.courses and is_followed(problem, h)][:1]
+    followed = [h for h in best.hypotheses if h.key in best.courses and h.record.takes_course][:1]
     held = constants_like(problem, followed[0]) if followed else {}
     final, again = problem, best
     turns, turn = 1 + REFITS * (problem.refits or bool(followed)), 0

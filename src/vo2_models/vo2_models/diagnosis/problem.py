@@ -159,9 +159,9 @@ class LinearisedProblem:
                 constants=values,
                 settled=part.settled,
                 fine=fine,
-                course=_course(self.courses, given, part),
+                course=_course(self.courses, given, place, part),
             )
-            for part in self.parts
+            for place, part in enumerate(self.parts)
         ]
 
     def moved(self, shift: Floats) -> dict[str, float]:
@@ -367,9 +367,9 @@ def linearise_problem(
             effects=effects,
             constants=values,
             settled=p.settled,
-            course=_course(courses or {}, effects or {}, p),
+            course=_course(courses or {}, effects or {}, place, p),
         )
-        for p in parts
+        for place, p in enumerate(parts)
     ]
     rows, end = [], 0
     for channel in dict.fromkeys(channel for part in parts for channel in part.channels):
@@ -426,11 +426,13 @@ def linearise_problem(
     )
 
 
-def _course(courses: Mapping[str, Bend], effects: Effects, part: Part) -> tuple[str, Floats] | None:
-    """The effect that bends in time, and how far at each sample; None where none does."""
+def _course(
+    courses: Mapping[str, Bend], effects: Effects, place: int, part: Part
+) -> tuple[str, Floats] | None:
+    """The effect that bends in time over a recording, and how far at each sample; None where none does."""
     return next(
         (
-            (key, courses[key].amplitude(part.size))
+            (key, courses[key].amplitude(place, part.size, part.size * part.dt))
             for key in effects
             if key in courses and courses[key].weights.size
         ),

@@ -632,12 +632,16 @@ def _one_of(study: Study, best: NamedEffect) -> NamedEffect:
 
 
 def _extent(study: Study, hypothesis: Hypothesis, chosen: Explanation, index: int) -> str:
-    """Between which amplitudes a course goes; empty of several recordings, each of which has its own."""
-    parts, name = study.located.problem.parts, hypothesis.record.course
-    if len(parts) > 1:
-        return ""
-    time = parts[0].dt * np.arange(1, parts[0].size + 1)
-    values = chosen.values[index].get(name, 0.0) * time + chosen.courses[hypothesis.key].amplitude(time.size)
+    """Between which amplitudes a course goes, over all recordings."""
+    bend, name = chosen.courses[hypothesis.key], hypothesis.record.course
+    rate = chosen.values[index].get(name, 0.0)
+    values = np.concatenate(
+        [
+            rate * part.dt * np.arange(1, part.size + 1)
+            + bend.amplitude(place, part.size, part.size * part.dt)
+            for place, part in enumerate(study.located.problem.parts)
+        ]
+    )
     description = study.located.problem.nominal.model.description
     unit = description.own_unit(hypothesis.parameter(name).unit, hypothesis.signal).removesuffix("/s")
     if unit == "1":

@@ -10,14 +10,7 @@ import numpy as np
 from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.absorbed import without_absorbed
 from vo2_models.diagnosis.adequacy import over_misfit, where_told
-from vo2_models.diagnosis.courses import (
-    bent_by,
-    course_columns,
-    gain_of_course,
-    is_followed,
-    knots_of,
-    with_courses,
-)
+from vo2_models.diagnosis.courses import bent_by, with_courses, worth_their_price
 from vo2_models.diagnosis.drift import Drift, drift_of
 from vo2_models.diagnosis.explain import (
     BRIEF,
@@ -142,7 +135,7 @@ def search(
         fixed, unmoved = _with_fixed_constants(located, candidates, fits, limits, shortlist, clock)
         fits += unmoved
     courses = _with_courses(located, candidates, fits, limits, clock)
-    if any(is_followed(problem, fit.hypotheses[0]) for fit in courses):
+    if any(fit.hypotheses[0].record.takes_course for fit in courses):
         fits += _beside_courses(located, fits, courses, clock)
     fits += courses
     before = problem.residual_chi_square
@@ -194,23 +187,25 @@ def _with_courses(
     for hypothesis in candidates:
         if not hypothesis.record.course:
             continue
-        line, walks, _ = course_columns(problem, hypothesis)
         clock.tick()
-        gain = gain_of_course(problem, np.column_stack([line, walks]), left)
-        followed = is_followed(problem, hypothesis)
+        followed = hypothesis.record.takes_course
         known = (nearest if followed else straight).get(hypothesis.key)
         alone = 0.0
         if followed:  # the pattern is not linear as far as the course goes: what is left may all be its bend
+            each = len(problem.parts) * price(problem, limits)
+            knots, gain = worth_their_price(problem, hypothesis, left, each)
             alone = problem.residual_chi_square - known.chi_square if known else 0.0
+            # at first use the misfit that counts as noise may be the effect's own
+            most_by_bend = max(problem.residual_chi_square - alone - problem.count, gain - alone)
             gain, least = max(gain, alone), limits.course * drop
-            most_by_bend = problem.residual_chi_square - alone - problem.count
-            worth = limits.gain + knots_of(problem) * price(problem, limits)
+            worth = limits.gain + knots * each
         else:
+            knots, gain = worth_their_price(problem, hypothesis, left, 0.0)
             least, most_by_bend = limits.course * most, gain - (known.gain if known else 0.0)
             worth = limits.gain + limits.bend * gain
         if gain < max(least, limits.gain) or most_by_bend < worth:
             continue
-        bent = with_courses(problem, [hypothesis])
+        bent = with_courses(problem, [hypothesis], knots=knots)
         kept = {n: v for n, v in hypothesis.starts[0].items() if n not in hypothesis.magnitudes}
         name = hypothesis.record.course  # beside any course no other power of the time
         start = {**kept, name: known.values[0].get(name, 0.0) if known else 0.0}
