@@ -125,6 +125,15 @@ def test_columns_are_the_terms_at_their_prior_size() -> None:
     assert np.allclose(found["scatter"], span * np.sqrt(share / 4000.0) * cells, rtol=1e-12)
 
 
+@pytest.mark.parametrize("half_width", [(0.2, 0.06), (1e-3, 1e-4)])
+def test_a_loop_narrower_than_a_cell_has_columns(half_width) -> None:
+    basis = EnrichmentBasis(typical_half_width=half_width)
+    columns = basis.features(walk(300, seed=5), span=1.0)
+    assert columns.shape == (300, basis.columns)
+    assert np.all(np.isfinite(columns))
+    assert np.ptp(columns[:, basis.groups["scatter"]]) > 0.0
+
+
 def test_a_folded_correction_is_the_weighted_sum_of_its_columns() -> None:
     basis, path = EnrichmentBasis(), walk(700, seed=4)
     weights = np.random.default_rng(5).normal(size=basis.columns)

@@ -33,6 +33,8 @@ _MOST_FIGURES = 12
 _MOST_DEVICES = 12
 _MOST_LINES = 40
 _MOST_NAMED = 20
+_SEVERAL = 4
+"""Bags from which on it is said that most of them differ."""
 
 
 def batch_page(command: str, rows: Sequence[Row], failed: Mapping[str, str], left: int) -> str:
@@ -51,7 +53,7 @@ def batch_page(command: str, rows: Sequence[Row], failed: Mapping[str, str], lef
     parts = []
     if done:
         if "verdict" in done[0]:
-            parts.append(_verdicts(done))
+            parts += [_verdicts(done), _bags(done)]
         parts.append(_numbers(done))
         parts.append(_figures(done))
     if refused or failed:
@@ -64,7 +66,27 @@ def batch_page(command: str, rows: Sequence[Row], failed: Mapping[str, str], lef
 def _verdicts(done: Sequence[Row]) -> str:
     counts = Counter((row["verdict"], row["effects"] or "none") for row in done)
     lines = [(verdict, effects, number) for (verdict, effects), number in counts.most_common(_MOST_LINES)]
-    return section("Verdicts", table("", ("verdict", "effects", "bags"), lines))
+    differ = sum(row["verdict"] == "differs" for row in done)
+    said = []
+    if len(done) >= _SEVERAL and 2 * differ > len(done):
+        said.append(
+            paragraph(
+                f"{differ} of {len(done)} bags differ. What most of them share the calibration probably lacked: fit it again, "
+                "with several recordings or with the effect that is named most, or diagnose with --calibration."
+            )
+        )
+    return section("Verdicts", *said, table("", ("verdict", "effects", "bags"), lines))
+
+
+def _bags(done: Sequence[Row]) -> str:
+    """Which bag got which verdict, those that differ first."""
+    order = {"differs": 0, "drifted": 1}
+    lines = [
+        (Path(str(row["bag"])).name, row.get("device_id") or "", row["verdict"], row["effects"] or "none")
+        for row in sorted(done, key=lambda row: order.get(str(row["verdict"]), 2))
+    ]
+    rest = f" (the first {_MOST_LINES} of {len(lines)}; all in table.csv)" if len(lines) > _MOST_LINES else ""
+    return section(f"Bags{rest}", table("", ("bag", "device", "verdict", "effects"), lines[:_MOST_LINES]))
 
 
 def _varying(done: Sequence[Row]) -> dict[str, Floats]:

@@ -178,6 +178,10 @@ class Limits:
         "a family that no law describes, and of 9 of two generators by others, the largest were 0.36, 0.35, 0.33, 0.30 and 0.29",
     )
     channel_excess: float = _limit(1.0, "the same of a single channel; there 0.68, 0.64, 0.57, 0.52 and 0.42")
+    loud_misfit: float = _limit(
+        5.0,
+        "noises from which a misfit of the calibration is told beside agreement: as `fit` calls a calibration fitted poorly",
+    )
     unlike_law: float = _limit(
         5.0,
         "what nothing predicts passes for the law's own misfit below so many times a noise's power and what the calibration "

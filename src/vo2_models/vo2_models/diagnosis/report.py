@@ -755,6 +755,26 @@ def _loops_in_words(study: Study) -> list[str]:
     return found
 
 
+def _missed_by_the_law(study: Study) -> str:
+    """Say how large what is taken for the misfit of the model is, where that is far above the noise; begins with a blank."""
+    nominal = study.located.nominal
+    if not nominal.model.description.has_body:
+        return ""
+    most = max(
+        (
+            (shape.misfit.level / nominal.noise[channel].level, channel)
+            for channel, shape in study.located.problem.shapes.items()
+        ),
+        default=(0.0, ""),
+    )
+    if most[0] <= study.limits.loud_misfit:
+        return ""
+    return (
+        f" What the model misses of its own calibration is taken for its misfit, in {most[1]} {most[0]:.2g} times the noise: "
+        "physics of that size, there all along, is not seen."
+    )
+
+
 def _why_enough(study: Study) -> str:
     """Say why an excess is no sign of physics."""
     if study.decision.unlike_noise:
@@ -810,7 +830,7 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     if decision.verdict == "agrees":
         return (
             f"Simulation and recording agree{_of_what(study)}{_refitted(study)}: the residual exceeds {_floor(study)} "
-            f"by {power:.0f} % of its power, {_why_enough(study)}.{_taken_up(study)}"
+            f"by {power:.0f} % of its power, {_why_enough(study)}.{_missed_by_the_law(study)}{_taken_up(study)}"
         )
     moved = _moved_in_words(study, _moved(study))
     if decision.verdict == "drifted":

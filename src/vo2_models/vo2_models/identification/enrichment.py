@@ -274,11 +274,12 @@ class EnrichmentBasis:
         heating, wide = mean + half, 1.3 * np.hypot(spread, half_spread)
         low = np.floor(heating - 4.0 * wide)
         alpha = np.arange(low, heating + 4.0 * wide, self.cell_k) + 0.5 * self.cell_k
-        width = np.arange(1, int(2 * (half + 4.0 * half_spread) / self.cell_k) + 1) * self.cell_k
-        share = np.outer(
-            np.exp(-0.5 * ((alpha - heating) / wide) ** 2),
-            np.exp(-0.5 * ((width - 2 * half) / (2.4 * half_spread)) ** 2),
+        # a loop that is narrower than a cell has one width, however unlikely
+        width = np.arange(1, max(int(2 * (half + 4.0 * half_spread) / self.cell_k), 1) + 1) * self.cell_k
+        exponent = np.add.outer(
+            -0.5 * ((alpha - heating) / wide) ** 2, -0.5 * ((width - 2 * half) / (2.4 * half_spread)) ** 2
         ).ravel()
+        share = np.exp(exponent - np.max(exponent))
         share /= share.sum()
         chosen = np.flatnonzero(share > 1e-3 * share.max())
         return (alpha.size, width.size), chosen, share[chosen], float(low)
