@@ -20,6 +20,7 @@ import pytest
 import yaml
 from concealed_devices import calibrated, concealed
 from vo2_identification.bags import write_bag
+from vo2_identification.batch.page import batch_page
 from vo2_identification.batch.run import RESULT
 from vo2_identification.diagnose import main as diagnose
 from vo2_identification.fit import main as fit
@@ -242,3 +243,16 @@ def test_1000_bags_and_what_a_second_worker_brings(tmp_path, capsys):
             f"({seconds[1] / seconds[2]:.2f} times as fast); 1000 bags, killed after {len(before)}, of which none was "
             f"repeated, the rest in {spent:.0f} s with 2"
         )
+
+
+def test_the_page_tells_which_bags_differ_and_that_most_share_something() -> None:
+    verdicts = ["agrees", "differs", "differs", "differs"]
+    rows = [
+        {"bag": f"/bags/run_{k}", "device_id": "W1", "status": "done", "verdict": verdict, "start_s": 0.0,
+         "effects": "creep" if verdict == "differs" else ""}
+        for k, verdict in enumerate(verdicts)
+    ]  # fmt: skip
+    page = batch_page("diagnose", rows, {}, 0)
+    assert page.index("run_1") < page.index("run_3") < page.index("run_0")
+    assert "3 of 4 bags differ" in page
+    assert "bags differ" not in batch_page("diagnose", rows[:2], {}, 0)

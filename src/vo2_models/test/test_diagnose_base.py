@@ -11,9 +11,9 @@ from vo2_models.device.coefficients import HUGE, blocks
 from vo2_models.diagnosis.adequacy import adequacy_of, reached, sureness
 from vo2_models.diagnosis.bend import Bend
 from vo2_models.diagnosis.breakdown import breakdown, locate
-from vo2_models.diagnosis.courses import course_columns, gain_of_course, with_courses
+from vo2_models.diagnosis.courses import course_columns, gain_of_course, with_courses, worth_their_price
 from vo2_models.diagnosis.current_reading import as_commanded, between_samples, current_reading
-from vo2_models.diagnosis.explain import Explanation, Score, fit_jointly, score, switched
+from vo2_models.diagnosis.explain import Explanation, Score, fit_jointly, price, score, switched
 from vo2_models.diagnosis.hypotheses import MAGNITUDE_STEP, Hypothesis, hypotheses, windowed
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.loop_shape import _block_covariance
@@ -427,16 +427,17 @@ def test_a_bend_raised_by_a_weight_is_a_constant_more() -> None:
     assert np.all(Bend(0.25, np.zeros((2, 12))).amplitude(1, 300, 2.0) == 0.0)
 
 
-def test_a_room_that_swings_by_more_than_a_loop_is_linear_over_is_followed() -> None:
+@pytest.mark.parametrize("swings", [(2.0,), (1.0, -2.0)])
+def test_a_room_that_swings_by_more_than_a_loop_is_linear_over_is_followed(swings) -> None:
     size, dt = 4000, 1e-3
     nominal, current = replace(_model(), noise={RESISTANCE: NoiseModel(1e-3)}), _drive(size)
-    swing = 3.0 * np.sin(4.0 * np.pi * np.arange(size) / size)
-    shown = nominal.respond(current, dt, course=("ambient_drift", swing)).channels[RESISTANCE]
-    shown = shown + 1e-3 * np.random.default_rng(3).normal(size=size)
-    recording = Recording(
-        dt * np.arange(size), {HEATER_CURRENT: current, RESISTANCE: 10.0**shown}, "integrated"
-    )
-    problem = linearise_problem(nominal, [prepare(recording, nominal)])
+    time, rng, rooms, parts = dt * np.arange(size), np.random.default_rng(3), [], []
+    for count in swings:
+        rooms.append(3.0 * np.sin(2.0 * np.pi * count * np.arange(size) / size))
+        shown = nominal.respond(current, dt, course=("ambient_drift", rooms[-1])).channels[RESISTANCE]
+        channels = {HEATER_CURRENT: current, RESISTANCE: 10.0 ** (shown + 1e-3 * rng.normal(size=size))}
+        parts.append(prepare(Recording(time, channels, "integrated"), nominal))
+    problem = linearise_problem(nominal, parts)
     hypothesis = next(
         h for h in hypotheses(problem, "integrated", problem.residual) if h.key == "ambient_drift"
     )
@@ -445,8 +446,32 @@ def test_a_room_that_swings_by_more_than_a_loop_is_linear_over_is_followed() -> 
     assert fit.chi_square < 1.1 * there.count
     assert line.chi_square > 4.0 * there.count
     rate, bend = fit.values[0]["rate"], fit.courses["ambient_drift"]
-    found = rate * dt * np.arange(size) + bend.amplitude(0, size, size * dt)
-    assert np.sqrt(np.mean((found - swing) ** 2)) < 0.1
+    for place, room in enumerate(rooms):
+        found = rate * time + bend.amplitude(place, size, size * dt)
+        # its level and the drive's gain do nearly the same
+        assert np.std(found - room) < 0.1
+
+
+def test_rooms_that_drift_each_at_its_own_rate_need_few_splines() -> None:
+    size, dt = 4000, 1e-3
+    nominal, current = replace(_model(), noise={RESISTANCE: NoiseModel(1e-3)}), _drive(size)
+    parts = []
+    for k, total in enumerate((0.3, -0.4)):
+        room = total * np.arange(size) / size
+        shown = nominal.respond(current, dt, course=("ambient_drift", room)).channels[RESISTANCE]
+        shown = shown + 1e-3 * np.random.default_rng(k).normal(size=size)
+        channels = {HEATER_CURRENT: current, RESISTANCE: 10.0**shown}
+        parts.append(prepare(Recording(dt * np.arange(size), channels, "integrated"), nominal))
+    problem = linearise_problem(nominal, parts)
+    hypothesis = next(
+        h for h in hypotheses(problem, "integrated", problem.residual) if h.key == "ambient_drift"
+    )
+    left = problem.apply_inverse_covariance(problem.residual)
+    knots, gain = worth_their_price(problem, hypothesis, left, 2.0 * price(problem, Limits()))
+    assert knots == 4
+    most, all_of_it = worth_their_price(problem, hypothesis, left, 0.0)
+    assert most == 24
+    assert gain > 0.9 * all_of_it
 
 
 def test_a_rival_is_as_probable_as_misfit_that_is_left_makes_it() -> None:
