@@ -1,9 +1,11 @@
 """What `fit` refuses to make a model of, and what it says beside a model."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from vo2_models.device.description import preset
 from vo2_models.device.model import DeviceModel, SensorModel
 from vo2_models.identification.calibration_check import check_calibration, judge_fit
 from vo2_models.identification.device_fit import FitResult
@@ -138,6 +140,17 @@ def test_a_fit_is_judged_by_what_it_leaves(recording):
         ValueError, match=r"film_resistance does not follow heater_current in a loop.* 0 % of its"
     ):
         judge_fit(fitted(recording, film_resistance=0.5, tip_deflection=8e-8), [recording])
+
+
+@pytest.mark.parametrize(("declared", "said"), [(4e-4, True), (1.5e-3, False)])
+def test_a_noise_far_above_the_device_file_is_told(recording, declared, said):
+    entries = json.loads(preset("integrated").document)
+    entries["id"], entries["responses"]["film_resistance"]["noise"] = "mine", declared
+    found = fitted(recording, film_resistance=1.5e-3)
+    own = replace(found, model=replace(found.model, device=json.dumps(entries)))
+    notes = judge_fit(own, [recording])
+    assert ["5 times what the device file says" in note for note in notes] == [True] * said
+    assert judge_fit(found, [recording]) == []  # a preset's noise is no statement about this rig
 
 
 @pytest.mark.parametrize(("side", "words"), [(1.0, "while heating"), (-1.0, "while cooling")])

@@ -1,6 +1,7 @@
 """What the nuisance model of a diagnosis is built of, against plain references written from the definitions."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from vo2_models.diagnosis.part import prepare
 from vo2_models.diagnosis.problem import LATEST, QUICKEST, linearise_problem
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.propagate_correction import as_sensed, corrected_film, propagate_correction
-from vo2_models.diagnosis.report import odds_of_rival
+from vo2_models.diagnosis.report import _missed_by_the_law, odds_of_rival
 from vo2_models.diagnosis.search import _refitted
 from vo2_models.diagnosis.tangent import Tangent
 from vo2_models.effects import effects
@@ -472,6 +473,17 @@ def test_rooms_that_drift_each_at_its_own_rate_need_few_splines() -> None:
     most, all_of_it = worth_their_price(problem, hypothesis, left, 0.0)
     assert most == 24
     assert gain > 0.9 * all_of_it
+
+
+@pytest.mark.parametrize(("noises", "told"), [(26.0, True), (2.0, False)])
+def test_an_agreement_tells_a_misfit_far_above_the_noise(noises, told) -> None:
+    nominal = replace(_model(), noise={RESISTANCE: NoiseModel(1e-3)})
+    shape = SimpleNamespace(misfit=SimpleNamespace(level=noises * 1e-3))
+    study = SimpleNamespace(
+        located=SimpleNamespace(nominal=nominal, problem=SimpleNamespace(shapes={RESISTANCE: shape})),
+        limits=Limits(),
+    )
+    assert ("26 times the noise" in _missed_by_the_law(study)) is told  # type: ignore[arg-type]
 
 
 def test_a_rival_is_as_probable_as_misfit_that_is_left_makes_it() -> None:

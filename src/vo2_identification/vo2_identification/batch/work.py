@@ -106,6 +106,8 @@ def work(task: Task) -> Outcome:
         reason = one_line(error)
         return Outcome(row | {"status": "refused", "reason": reason}, {}, reason, time.perf_counter() - began)
     problems = [*told, *found.pop("problems")]
+    says = one_line(found.pop("device_id", ""), 100)
+    row["device_id"] = note.device_id or says
     row |= {"status": "done", "reason": "", **found, "problems": "; ".join(problems)[:2000]}
     return Outcome(row, files, "", time.perf_counter() - began)
 
@@ -175,6 +177,7 @@ def _loop(bank: PlayBank, cold: float, hot: float) -> Row:
 
 
 def _diagnose(task: Task, place: Path) -> Row:
+    from vo2_models.device.description import PRESETS
     from vo2_models.device.model import DeviceModel
     from vo2_models.diagnosis.files import write_results
     from vo2_models.diagnosis.pipeline import study
@@ -205,5 +208,6 @@ def _diagnose(task: Task, place: Path) -> Row:
         row[moved.constant], row[f"{moved.constant}.std"] = moved.now, moved.std
     for channel, fit in answer.fit.items():
         row[f"{channel}.nrmse_before"], row[f"{channel}.nrmse_after"] = fit.nrmse_before, fit.nrmse_after
-    row["problems"] = problems
+    row["problems"] = [*(f.text for f in result.reading.findings if f.kind == "device"), *problems]
+    row["device_id"] = "" if recordings[-1].device_id in PRESETS else recordings[-1].device_id
     return row

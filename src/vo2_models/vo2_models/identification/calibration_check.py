@@ -32,6 +32,7 @@ _POOR_SHARE = 0.01
 _POOR_NOISE = 5.0
 _RETURN = 0.1
 _PLAINLY = 3.0
+_OVER_DECLARED = 3.0
 _TOLD = 100
 
 
@@ -133,6 +134,12 @@ def judge_fit(result: FitResult, recordings: Sequence[Recording]) -> list[str]:
                 "factor of a few; or leave the channel out"
             )
         noise = noise_level(channel, sensor.noise)
+        declared = device.noise.get(channel)
+        if device.id not in PRESETS and declared and sensor.noise > _OVER_DECLARED * declared:
+            notes.append(
+                f"{name}: its noise was found to be {sensor.noise / declared:.2g} times what the device file says: what wanders "
+                "slowly on held levels may be the device's, and diagnose takes it for the sensor's"
+            )
         if device.has_body and sensor.residual > max(
             _POOR_NOISE * noise, _POOR_SHARE * float(np.ptp(values))
         ):
