@@ -9,6 +9,7 @@ from scipy.linalg import cholesky_banded, toeplitz
 from scipy.signal import lfilter
 from vo2_models.device import DeviceModel
 from vo2_models.device.coefficients import HUGE, blocks
+from vo2_models.device.model import SensorModel
 from vo2_models.diagnosis.adequacy import adequacy_of, reached, sureness
 from vo2_models.diagnosis.bend import Bend
 from vo2_models.diagnosis.breakdown import breakdown, locate
@@ -477,8 +478,9 @@ def test_rooms_that_drift_each_at_its_own_rate_need_few_splines() -> None:
 
 @pytest.mark.parametrize(("noises", "told"), [(26.0, True), (2.0, False)])
 def test_an_agreement_tells_a_misfit_far_above_the_noise(noises, told) -> None:
-    nominal = replace(_model(), noise={RESISTANCE: NoiseModel(1e-3)})
-    shape = SimpleNamespace(misfit=SimpleNamespace(level=noises * 1e-3))
+    sensors = {RESISTANCE: SensorModel(noise=2e-3, colour=(), residual=1e-2, residual_colour=())}
+    nominal = replace(_model(), model=replace(_model().model, sensors=sensors))
+    shape = SimpleNamespace(misfit=SimpleNamespace(level=noises * 2e-3 / np.log(10.0)))
     study = SimpleNamespace(
         located=SimpleNamespace(nominal=nominal, problem=SimpleNamespace(shapes={RESISTANCE: shape})),
         limits=Limits(),

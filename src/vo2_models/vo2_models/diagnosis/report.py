@@ -30,6 +30,7 @@ from vo2_models.diagnosis.result import (
 )
 from vo2_models.diagnosis.stages import Study
 from vo2_models.effects.record import CHOICE
+from vo2_models.identification.calibration_check import noise_level
 from vo2_models.numerics.parallel import parallel_map
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
@@ -757,13 +758,15 @@ def _loops_in_words(study: Study) -> list[str]:
 
 def _missed_by_the_law(study: Study) -> str:
     """Say how large what is taken for the misfit of the model is, where that is far above the noise; begins with a blank."""
-    nominal = study.located.nominal
-    if not nominal.model.description.has_body:
+    model = study.located.nominal.model
+    if not model.description.has_body:
         return ""
+    # the noise of the sensor alone: that of the diagnosis may hold what wanders slowly already
     most = max(
         (
-            (shape.misfit.level / nominal.noise[channel].level, channel)
+            (shape.misfit.level / noise_level(channel, model.sensors[channel].noise), channel)
             for channel, shape in study.located.problem.shapes.items()
+            if channel in model.sensors and model.sensors[channel].noise > 0.0
         ),
         default=(0.0, ""),
     )
