@@ -82,7 +82,7 @@ def _bags(done: Sequence[Row]) -> str:
     """Which bag got which verdict, those that differ first."""
     order = {"differs": 0, "drifted": 1}
     lines = [
-        (Path(str(row["bag"])).name, row.get("device_id") or "", row["verdict"], row["effects"] or "none")
+        (row["bag"], row.get("device_id") or "", row["verdict"], row["effects"] or "none")
         for row in sorted(done, key=lambda row: order.get(str(row["verdict"]), 2))
     ]
     rest = f" (the first {_MOST_LINES} of {len(lines)}; all in table.csv)" if len(lines) > _MOST_LINES else ""

@@ -40,7 +40,7 @@ class Bend:
     shares : (p, c) of each walk, what the straight line has of it
     start : amplitude of the first walk of each recording, a constant, in those steps
     weights : (p, c); empty where everything is linear about the straight line
-    line : sum of shares and weights
+    line : sum of each share times its weight
     """
 
     rate: float

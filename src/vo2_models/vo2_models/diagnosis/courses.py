@@ -38,7 +38,7 @@ SAME = 0.999
 FEWEST, MOST = 6, 96
 """Least splines of a recording, and most of all together where there are several."""
 SMOOTH = (4, 8)
-"""Splines of a course that hardly bends: of several recordings each one's line alone would cost a hundred splines else."""
+"""Splines of a course that hardly bends: of several recordings each one's own line would cost 48 to 96 splines else."""
 
 
 def knots_of(problem: LinearisedProblem) -> tuple[int, ...]:
