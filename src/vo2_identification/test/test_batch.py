@@ -249,6 +249,7 @@ def test_the_page_tells_which_bags_differ_and_that_most_share_something() -> Non
     verdicts = ["agrees", "differs", "differs", "differs"]
     rows = [
         {"bag": f"/bags/run_{k}", "device_id": "W1", "status": "done", "verdict": verdict, "start_s": 0.0,
+         "position_x_m": None, "position_y_m": None,
          "effects": "creep" if verdict == "differs" else ""}
         for k, verdict in enumerate(verdicts)
     ]  # fmt: skip
