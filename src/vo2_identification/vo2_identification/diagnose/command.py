@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["continue_with_next", "diagnose_bags", "main"]
 
 SELDOM = 50_000
-"""Objects between collections: hardly any are in circles, and looking for them at every 700 takes 3 % of a diagnosis."""
+"""Objects between collections: hardly any are in circles, and Python would look for them at every 700."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
