@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import gc
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -20,9 +19,6 @@ if TYPE_CHECKING:
     from vo2_models.parameters import Value
 
 __all__ = ["continue_with_next", "diagnose_bags", "main"]
-
-SELDOM = 50_000
-"""Objects between collections: hardly any are in circles, and Python would look for them at every 700."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -84,7 +80,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    gc.set_threshold(SELDOM)
     output = Path(options.output)
     if options.next:
         _prepare_next(output)
