@@ -139,6 +139,26 @@ def test_missing_values_stay_as_nan_and_are_reported_by_row(tmp_path):
     ]
 
 
+def test_a_rig_without_a_device_file_has_names_and_units_of_its_own(tmp_path):
+    one = converted(
+        tmp_path,
+        text=MAP.replace("stage_temperature", "room")
+        .replace("film_resistance", "clamp_force")
+        .replace("kohm", "kN"),
+    )
+    np.testing.assert_allclose(one.recording["clamp_force"], [1e4, 2e4, 3e4], rtol=1e-12)
+    np.testing.assert_allclose(one.recording["room"], [26.85, 27.85, 28.85], rtol=1e-12)
+
+
+@pytest.mark.parametrize("end", ["3,4,4", "3,", "3"])
+def test_a_last_row_that_was_not_written_to_its_end_is_left_out_and_told(tmp_path, end):
+    one = converted(tmp_path, table=TABLE + end)
+    expect_the_table(one.recording)
+    assert [(problem.kind, problem.text) for problem in one.problems] == [
+        ("truncated", "row 5, the last, ends before its last column and is left out")
+    ]
+
+
 def test_a_clock_that_jumps_back_is_named_by_row(tmp_path):
     table = "t,I,R,T\n" + "".join(f"{t},1,10,300\n" for t in [*range(10), 4, *range(10, 20)])
     one = converted(tmp_path, table=table)
@@ -299,6 +319,11 @@ def test_a_share_of_another_column_is_taken_off(tmp_path):
         (("", ""), TABLE.replace(",", ";"), 'set delimiter: ";" in the map'),
         (("header_row: 1", "header_row: 2"), "rig 7,,,\n\n" + TABLE, "stands in row 3: set header_row: 3"),
         (("device: rig", "delimiter: ;"), "t;I;R;T\n0;1,5;2;3\n", "found '1,5'.*set decimal: \",\""),
+        (
+            ("", ""),
+            TABLE.replace("0,1,10", "ms,mA,kohm,K\n0,1,10"),
+            "row 2, .*: found '.*set first_row: 3 in the",
+        ),
         (("", ""), "PK\x03\x04\x80", "found an .xlsx workbook.*format: xlsx"),
         (
             ("", ""),

@@ -73,6 +73,18 @@ def test_a_drafted_heater_heats_by_the_square_of_its_current(tmp_path, capsys):
     assert residual < 4.0 * noise
 
 
+def test_drafting_says_how_far_it_is(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(describe, "_EVERY_S", 0.0)
+    write_bag(tmp_path / "bag", _rig(600))
+    assert describe.main(["--bag", str(tmp_path / "bag")]) == 0
+    told = capsys.readouterr()
+    assert "extension:\n" in told.out
+    shares = [
+        int(line.split("%")[0].split()[-1]) for line in told.err.splitlines() if "lag and delay" in line
+    ]
+    assert len(shares) >= 3 and shares == sorted(shares) and shares[-1] > shares[0]
+
+
 def test_the_draft_marks_what_it_could_not_know(tmp_path, capsys):
     recording = _rig(300)
     channels = {"knob": recording["drive_voltage"], "answer": recording["extension"]}

@@ -47,7 +47,8 @@ def test_a_room_half_a_kelvin_off_is_a_drift_of_the_ambient(parameters, sign) ->
     assert all("provenance" in limit for limit in plain["decision_limits"].values())
 
 
-@pytest.mark.parametrize("kelvin", [pytest.param(-4.0, marks=pytest.mark.slow), 6.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("kelvin", [-4.0, 6.0])
 def test_a_room_some_kelvin_off_is_no_laser_that_heats_all_the_time(parameters, kelvin) -> None:
     answer = diagnose([concealed(moved=((Coefficient.AMBIENT, 1.0, kelvin),))], parameters)
     assert answer.verdict == "drifted" and answer.effects == []
@@ -178,7 +179,7 @@ def test_commands_stamped_late_by_a_fraction_are_moved_to_where_they_act(paramet
     ("moved", "name", "by"),
     [
         ((Coefficient.SQUARE_GAIN, 1.03, 0.0), "thermal.square_gain", 0.03 * 1.01e6),
-        ((Coefficient.AMBIENT, 1.0, 1.5), "thermal.ambient", 1.5),
+        pytest.param((Coefficient.AMBIENT, 1.0, 1.5), "thermal.ambient", 1.5, marks=pytest.mark.slow),
     ],
 )
 def test_a_constant_that_explains_a_recording_by_itself_is_told_with_loops_as_they_were(

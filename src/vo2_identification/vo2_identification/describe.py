@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from vo2_models.device.description_file import Document
     from vo2_models.recording import Recording
 
-from vo2_models.command_line import refuse
+from vo2_models.command_line import Progress, refuse
 
 __all__ = ["drafted", "main"]
 
@@ -39,6 +39,8 @@ _WORDS = {
 _ROOM, _RISE = 22.0, 75.0
 """Temperature [degC] without drive and its rise [K] at the largest: without a thermometer they are no more than a scale."""
 _UNKNOWN = "?"
+_EVERY_S = 10.0
+"""Least time between two lines of progress where there is no terminal [s]."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -52,9 +54,12 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument("--bag", type=Path, required=True, help="bag of the device")
     parser.add_argument("--drive", help="channel that drives the device (default: what the names suggest)")
     parser.add_argument("--output", type=Path, help="device file to write (default: on the terminal)")
+    parser.add_argument("--quiet", action="store_true", help="no progress on standard error")
     options = parser.parse_args(args)
     try:
-        text = _text(options.bag, options.drive)
+        with Progress("describe", quiet=options.quiet, every_s=_EVERY_S) as progress:
+            progress(0.0, "reading")
+            text = _text(options.bag, options.drive, lambda share: progress(share, "lag and delay"))
         if options.output is None:
             print(text, end="")
         elif options.output.exists():
@@ -67,7 +72,7 @@ def main(args: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _text(bag: Path, drive: str | None) -> str:
+def _text(bag: Path, drive: str | None, progress: Callable[[float], None]) -> str:
     from vo2_identification.bags import read_bag
     from vo2_identification.bags.problems import BagError
 
@@ -75,18 +80,21 @@ def _text(bag: Path, drive: str | None) -> str:
     if "measurement" not in recordings:
         raise BagError(f"{bag}: found no samples on a topic .../measurement, need them")
     commanded = list(recordings["command"].channels) if "command" in recordings else []
-    document, notes = drafted(recordings["measurement"], drive or next(iter(commanded), None))
+    document, notes = drafted(recordings["measurement"], drive or next(iter(commanded), None), progress)
     head = "".join(f"# {note}\n" for note in [f"drafted by `describe` from {bag}", *notes])
     return head + yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=110)
 
 
-def drafted(recording: Recording, drive: str | None) -> tuple[Document, list[str]]:
+def drafted(
+    recording: Recording, drive: str | None, progress: Callable[[float], None] | None = None
+) -> tuple[Document, list[str]]:
     """Return the content of a device file, and what a person must look at, one sentence each.
 
     Parameters
     ----------
     recording : under the rig's own channel names
     drive : channel that drives, None for what the names suggest
+    progress : called with the share done, 0 to 1
 
     Raises
     ------
@@ -158,7 +166,7 @@ def drafted(recording: Recording, drive: str | None) -> tuple[Document, list[str
         for role, column in grid.measured.items()
         if role in device.channels
     }
-    dynamics = choose_dynamics([grid], device, path_values)
+    dynamics = choose_dynamics([grid], device, path_values, progress=progress)
     if dynamics.falling:
         document["drive"]["operating"] = [high, low]
         notes.append(

@@ -6,6 +6,7 @@ import codecs
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,8 @@ _TABLE_KEYS = {
     "channels": dict,
     "series": dict,
 }
+_MEANT = 0.75
+"""Likeness of a name to a channel of the contract from which that is taken to be meant [1]."""
 _MISSING = ("", "nan", "na", "n/a", "null", "none", "-")
 _NOT_OF_TABLES = {"idna", "punycode", "undefined", "unicode_escape", "raw_unicode_escape"}
 _NO_DELIMITERS = '"\r\n\0'
@@ -167,7 +170,14 @@ def read_map(path: Path) -> ColumnMap:
         quantities |= {name: of_unit[units[role]] for role, name in described.names.items()}
     parts = table.get("series") or {"": {key: table[key] for key in ("time", "channels") if key in table}}
     series = tuple(
-        _series(str(name), part, table.get("time"), f"{where}: series {name}" if name else where, quantities)
+        _series(
+            str(name),
+            part,
+            table.get("time"),
+            f"{where}: series {name}" if name else where,
+            quantities,
+            own_names=described is None,
+        )
         for name, part in parts.items()
     )
     return ColumnMap(
@@ -199,7 +209,9 @@ def _device(name: str, path: Path) -> DeviceDescription | None:
         raise MapError(f"map {path}: device: {error}") from error
 
 
-def _series(name: str, part: Any, common_time: Any, where: str, quantities: Mapping[str, str]) -> Series:
+def _series(
+    name: str, part: Any, common_time: Any, where: str, quantities: Mapping[str, str], *, own_names: bool
+) -> Series:
     # it becomes part of a folder's name
     if any(letter in "/\\" or not letter.isprintable() for letter in name) or len(name) > 100:
         raise MapError(f"{where}: need a name of at most 100 printable characters without slashes")
@@ -209,11 +221,15 @@ def _series(name: str, part: Any, common_time: Any, where: str, quantities: Mapp
     channels, guards = {}, {}
     for channel, entry in part["channels"].items():
         place = f"{where}: channel {channel}"
-        if channel not in quantities:
+        quantity = quantities.get(channel)
+        # a rig without a device file yet has names of its own; one letter off is a mistake all the same
+        if quantity is None and own_names and not get_close_matches(str(channel), quantities, cutoff=_MEANT):
+            quantity = _quantity_of(entry)
+        if quantity is None:
             raise MapError(
                 f"{place}: not a channel, need one of {', '.join(quantities)}; or name a device file that has it"
             )
-        channels[channel] = _source(entry, quantities[channel], place)
+        channels[channel] = _source(entry, quantity, place)
         if "valid_where" in entry:
             guards[channel] = _guard(entry["valid_where"], f"{place}: valid_where")
     for channel, guard in guards.items():
@@ -265,10 +281,16 @@ def _less(entry: Any, where: str) -> tuple[Source, float]:
         raise MapError(
             f"{where}: factor: found {factor}, need a finite number, the channel's SI unit per SI unit of this"
         )
-    quantity = next((q for q in SI if unit_named(str(entry.get("unit", "")), q)), None)
+    quantity = _quantity_of(entry)
     if quantity is None:
         raise MapError(f"{where}: unit: found {entry.get('unit')!r}, need one of {', '.join(UNITS)}")
     return _source(entry, quantity, where), float(factor)
+
+
+def _quantity_of(entry: Any) -> str | None:
+    """Quantity that the unit of an entry measures; None where there is no such unit."""
+    unit = str(entry.get("unit", "")) if isinstance(entry, dict) else ""
+    return next((quantity for quantity in SI if unit_named(unit, quantity)), None)
 
 
 def _guard(entry: Any, where: str) -> Guard:

@@ -100,6 +100,9 @@ def _convert(table: Table, series: Series, column_map: ColumnMap, name: str) -> 
     stop = int(filled[-1]) + 1 if filled.size else 0
     if not stop:
         raise MapError(f"{table.path}: found no value in the columns of the map, need some")
+    if table.cut:
+        text = f"row {table.cut}, the last, ends before its last column and is left out"
+        problems.append(Problem("truncated", table.path, text))
     for k in np.flatnonzero(timeless[:stop]):
         problems.append(Problem("malformed", table.path, f"row {rows[k]} has no time and is left out"))
     keep = np.flatnonzero(~timeless[:stop])
@@ -166,7 +169,7 @@ def _values(table: Table, source: Source, column_map: ColumnMap) -> NDArray[np.f
         except (TypeError, ValueError, OverflowError):
             raise MapError(
                 f"{table.path}: row {row}, column {source.column!r}: found {cell!r}, need a number; "
-                + _remedy(cell, column_map)
+                + _remedy(cell, column_map, row if k == 0 else 0)
             ) from None
     less, factor = source.less or (None, 0.0)
     other = _values(table, less, column_map) if less else 0.0
@@ -176,9 +179,12 @@ def _values(table: Table, source: Source, column_map: ColumnMap) -> NDArray[np.f
         )
 
 
-def _remedy(cell: Any, column_map: ColumnMap) -> str:
+def _remedy(cell: Any, column_map: ColumnMap, first_row: int) -> str:
+    """What to do about a cell that is no number; `first_row` is its row where that is the first of the samples, else 0."""
     if isinstance(cell, str) and column_map.decimal == "." and _DECIMAL_COMMA.fullmatch(cell.strip()):
         return 'set decimal: "," in the map if the comma is a decimal one'
+    if first_row:
+        return f"set first_row: {first_row + 1} in the map if the samples begin below this row, as below a row of units"
     return "list it under missing in the map if it means that there is no value"
 
 

@@ -44,11 +44,13 @@ class Table:
     path : the file, with the sheet where there are sheets
     names : column names, empty where the map has no header row
     rows : (row number from 1, its cells)
+    cut : number of a last row that has fewer cells than every other and is not among `rows`, 0 where there is none
     """
 
     path: str
     names: tuple[str, ...]
     rows: Sequence[tuple[int, Sequence[Any]]]
+    cut: int = 0
 
     def column(self, wanted: str | int) -> int:
         """Return the index from 0 of a column given by name or by number from 1.
@@ -142,6 +144,10 @@ def read_table(path: Path, column_map: ColumnMap) -> Table:
             f"{name}: row {wide[0]}: found {len(rows[0][1])} cells under a header of {len(header)}: commas that separate and "
             'decimal ones? save the table with another separator, and set delimiter: ";" and decimal: "," in the map'
         )
+    # what was being written when the logger stopped: even its last cell may be half a number
+    open_end = column_map.form != "xlsx" and not column_map.last_row and len(rows) > 1
+    if open_end and len(rows[-1][1]) < min(len(row) for _, row in rows[:-1]):
+        return Table(name, header, rows[:-1], rows[-1][0])
     return Table(name, header, rows)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo2_models.hysteresis.kernels import exact, tanh
+from vo2_models.numerics.kernel import kernel
 
 RISING_SLOPE, RISING_OFFSET, FALLING_SLOPE, FALLING_OFFSET = range(4)
 
@@ -62,3 +63,33 @@ def derivatives(z, slopes, radii, lower, weights, columns, out):
             row = 0 if rose[j] else 2
             out[k, columns[row, j]] += weights[j] * by_slope[j]
             out[k, columns[row + 1, j]] += weights[j] * by_offset[j]
+
+
+@kernel
+def without_closed_loops(path, needed):
+    """Indices of the samples that decide what any play does at the needed ones: path (n,), needed (n,) bool -> (m,).
+
+    Between two needed samples, what lies on a monotonic way is left out, and so is every excursion b, c that ends within
+    the way a to d around it: it closes a minor loop, which leaves a play as it was (Madelung's rules).
+    """
+    kept = np.empty(path.size, np.int64)
+    count = begin = 0
+    for k in range(path.size):
+        kept[count] = k
+        count += 1
+        while count - begin >= 3:
+            last, middle, first = path[k], path[kept[count - 2]], path[kept[count - 3]]
+            if min(first, last) <= middle <= max(first, last):
+                kept[count - 2] = k
+                count -= 1
+                continue
+            if count - begin < 4:
+                break
+            before = path[kept[count - 4]]
+            if min(first, middle) < min(before, last) or max(first, middle) > max(before, last):
+                break
+            kept[count - 3] = k
+            count -= 2
+        if needed[k]:
+            begin = count - 1
+    return kept[:count]

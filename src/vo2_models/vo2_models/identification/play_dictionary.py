@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import nnls
 
-from vo2_models.hysteresis.fitting_kernels import regressors
+from vo2_models.hysteresis.fitting_kernels import regressors, without_closed_loops
 from vo2_models.identification.bank_fit import POLYNOMIAL_CENTRE, POLYNOMIAL_SCALE, BankShape, Late
 
 __all__ = ["FOLDS", "DictionaryFit", "PlayDictionary", "fit_dictionary", "fold_of", "nonnegative_weights"]
@@ -29,6 +29,8 @@ _RIDGES = (1e-6, 1e-4, 1e-2)
 _FADED = 1e-5
 """Share of the largest weight below which a play is left out."""
 _MARGIN = 0.05
+_ELEMENTS = 10_000_000
+"""Outputs of plays that are held at a time."""
 _NARROWEST, _WIDEST = 0.004, 0.5
 
 
@@ -64,7 +66,21 @@ class PlayDictionary:
         )
         out = np.empty((path.size, self.centre.size))
         regressors(path - POLYNOMIAL_CENTRE, envelopes, np.zeros(self.centre.size), True, out)
-        return out + 1.0
+        out += 1.0
+        return out
+
+    def at(self, path: Floats, rows: NDArray[np.intp], late: Late | None) -> Floats:
+        """Outputs (m, N) at some samples (m,) of a path (n,), behind what is behind the plays."""
+        if late is None:
+            needed = np.zeros(path.size, dtype=np.bool_)
+            needed[rows] = True
+            few = without_closed_loops(path, needed)
+            return self.features(path[few])[np.searchsorted(few, rows)]
+        # not all at once: a long path by many plays does not fit into memory
+        pieces = -(-path.size * self.centre.size // _ELEMENTS)
+        parts = np.array_split(np.arange(self.centre.size), pieces)
+        plays = [PlayDictionary(self.centre[k], self.half_width[k], self.slope) for k in parts]
+        return np.hstack([late.through(some.features(path))[rows] for some in plays])
 
 
 @dataclass(frozen=True)
@@ -161,10 +177,9 @@ def fit_dictionary(
         raise ValueError(f"values: found {good.size} measured, need at least {2 * FOLDS}")
     rows = good[np.unique(np.linspace(0, good.size - 1, min(good.size, most)).astype(int))]
     powers = np.vander((path - POLYNOMIAL_CENTRE) / POLYNOMIAL_SCALE, degree + 1, increasing=True)
-    features = dictionary.features(path)
-    if late:
-        features, powers = late(features, powers)
-    columns = np.hstack([features[rows], powers[rows]])
+    if late and late.whole:
+        powers = late.through(powers)
+    columns = np.hstack([dictionary.at(path, rows, late), powers[rows]])
     centre = float(np.mean(values[rows]))
     target = values[rows] - centre
     plays = dictionary.centre.size

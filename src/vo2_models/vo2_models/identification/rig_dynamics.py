@@ -71,6 +71,8 @@ _CLOSE = 0.01
 """Relative accuracy of a lag [1]."""
 _PATIENCE = 3
 """Longer lags are left out once as many in a row were no better than the best: the error has one minimum, or two close by."""
+_USUAL, _TOLD = 110, 10
+"""Fits that a choice takes, about, and those from one word about progress to the next."""
 _COARSE, _FINE = {"centres": 12, "widths": 7}, {"centres": 20, "widths": 10}
 _SAMPLES = 2500
 
@@ -283,6 +285,7 @@ def choose_dynamics(
     *,
     rates: bool = True,
     relaxes: bool = True,
+    progress: Callable[[float], None] | None = None,
 ) -> RigDynamics:
     """Return sense, lag, delay or relaxation, and degree with the smallest held-out error.
 
@@ -293,7 +296,9 @@ def choose_dynamics(
     values : role -> (n,) judged values along `loop_path`, NaN where missing
     rates : whether the drive has different rates; at one rate a lag is a wider loop, and none is looked for
     relaxes : whether what has hysteresis may relax; only plays are fitted behind that
+    progress : called with the share done, 0 to 1
     """
+    count = itertools.count(1)
     low, high = sorted(device.steady_temperature(v) for v in device.operating_range)
     signed = False
     coarse, sharp = (PlayDictionary.over(low, high, **grid) for grid in (_COARSE, _FINE))
@@ -301,6 +306,9 @@ def choose_dynamics(
 
     def tried(dynamics: RigDynamics, of: PlayDictionary | None = None) -> RigDynamics:
         fits = fitted(dynamics, of or plays).values()
+        done = next(count)
+        if progress and done % _TOLD == 0:
+            progress(min(done / _USUAL, 1.0))
         return replace(dynamics, score=float(sum(np.log(max(fit.misfit, 1e-300)) for fit in fits)))
 
     def fitted(dynamics: RigDynamics, plays: PlayDictionary) -> dict[str, DictionaryFit]:

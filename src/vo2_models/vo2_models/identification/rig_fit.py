@@ -116,12 +116,14 @@ def fit_rig(
             f"need one that spans at least a tenth of the operating range {low:g} to {high:g} of device {device.id}"
         )
     values = {role: _along(grids, role) for role in roles}
-    say("lag, delay and sense", 0.05)
     coverage = coverage_of(grids, device)
-    dynamics = choose_dynamics(grids, device, values, rates=not coverage.one_rate, relaxes=law in _RELAXING)
+    dynamics = choose_dynamics(
+        grids, device, values, rates=not coverage.one_rate, relaxes=law in _RELAXING,
+        progress=lambda share: say("lag, delay and sense", 0.4 * share),
+    )  # fmt: skip
     heat = RigHeat("drive", dynamics)
     if not coverage.one_rate:  # over one rate another coordinate is another shape of the loop
-        say("heat in the film", 0.2)
+        say("heat in the film", 0.4)
         heat = choose_heat(grids, device, values, dynamics)
     if heat.kind == "drive":
         heat = replace(heat, dynamics=_by_the_law(grids, device, values, heat.dynamics))
@@ -129,7 +131,7 @@ def fit_rig(
     device, model, path = _assembled(grids, whole, heat)
     fits: dict[str, LoopLaw] = {}
     for k, role in enumerate(roles):
-        say(f"loop of {device.names[role]}", 0.4 + 0.4 * k / len(roles))
+        say(f"loop of {device.names[role]}", 0.6 + 0.2 * k / len(roles))
         late = _late(grids, device, heat.dynamics, role)
         fits[role] = _loop(path, values[role], heat.dynamics.degree, folds[role], law, late)
     if len(roles) == 1 and heat.kind == "drive" and not coverage.one_rate and law in _BOUNDED:

@@ -13,11 +13,12 @@ from vo2_control.closed_loop import run_loop
 from vo2_control.designs import current_limits
 from vo2_control.model_tuning import tuned_from_model
 from vo2_control.pid import pid_controller
-from vo2_models.device import truth
-from vo2_models.device.description import preset
+from vo2_models.device import DeviceModel, truth
+from vo2_models.device.description import described, preset
 from vo2_models.diagnosis.breakdown import turning_points
 from vo2_models.diagnosis.loop_shape import loop_shapes
 from vo2_models.diagnosis.nominal import Nominal
+from vo2_models.hysteresis.laws.bounded_plays import EXAMPLE
 from vo2_models.identification.excitation import damped_oscillation
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
@@ -60,6 +61,20 @@ def _estimation() -> None:
         self_sensing(kind, model).estimate(recording[RESISTANCE][:10])
 
 
+def _another_law() -> None:
+    """Simulate a device whose law is no bank of plays, as a diagnosis does: the chain is compiled anew for it."""
+    rig = described(
+        {
+            "schema": "vo2-device/1",
+            "id": "rig",
+            "drive": {"channel": "volts", "unit": "V", "limits": [0.0, 4.0]},
+            "responses": {"travel": {"unit": "m"}},
+        },
+        "rig",
+    )
+    Nominal(DeviceModel(rig.key, deflection=EXAMPLE), {}, None, {}).respond(np.ones(10), 0.1, settled=True)
+
+
 def main() -> int:
     """Run an identification, a few estimates and a corrected simulation on the smallest sensible recordings."""
     started = time.monotonic()
@@ -73,6 +88,8 @@ def main() -> int:
     recording = device.simulate(current, seed=1)
     fit_model([recording], _DEVICE, plays=6, self_sensing=False)
     beside.join()
+    beside = multiprocessing.get_context("fork").Process(target=_another_law, daemon=True)
+    beside.start()
     _, model = fit_model([recording], _DEVICE, plays=6)
     for kind in KINDS:
         self_sensing(kind, model).estimate(recording[RESISTANCE][:10])
@@ -83,6 +100,7 @@ def main() -> int:
     nominal = Nominal.from_parameters(model)
     shapes = {channel: shape.fold() for channel, shape in loop_shapes(nominal).items()}
     turning_points(replace(nominal, corrections=shapes).respond(current, period).temperature)
+    beside.join()
     print(f"[vo2] kernels ready after {time.monotonic() - started:.0f} s", flush=True)
     return 0
 

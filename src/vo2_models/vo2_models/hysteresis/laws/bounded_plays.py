@@ -193,6 +193,7 @@ def fit_bounded_plays(
     ValueError : fewer measured samples than twice the parts that are held out.
     """
     # loads slowly, and a node starts without it
+    from vo2_models.hysteresis.fitting_kernels import without_closed_loops
     from vo2_models.identification.play_dictionary import nonnegative_weights
 
     low = float(u.min())
@@ -204,15 +205,21 @@ def fit_bounded_plays(
     part = np.unique(label[rows], return_inverse=True)[1] % _FOLDS
     if np.unique(part).size < _FOLDS:
         part = np.arange(rows.size) * 10 * _FOLDS // rows.size % _FOLDS
-    x, target, out = (u - low) / (high - low), y[rows], np.empty(u.size)
+    target, path, at = y[rows], u, rows
+    if through is None:  # a play at the rows is decided by few samples
+        needed = np.zeros(u.size, dtype=np.bool_)
+        needed[rows] = True
+        few = without_closed_loops(u, needed)
+        path, at = u[few], np.searchsorted(few, rows)
+    x, out = (path - low) / (high - low), np.empty(path.size)
 
     def arrived(column: Floats) -> Floats:
-        return (through(column[:, None])[:, 0] if through else column)[rows]
+        return through(column[:, None])[rows, 0] if through else column[at]
 
     def outputs(exponent: float) -> Floats:
         plays = np.empty((rows.size, _RADII.size))
         for j, radius in enumerate(_RADII):
-            _play(u, np.array([1.0, low, high, exponent, 1.0, radius]), out)
+            _play(path, np.array([1.0, low, high, exponent, 1.0, radius]), out)
             plays[:, j] = arrived(out)
         return plays
 
