@@ -110,7 +110,7 @@ def test_one_argument_chooses_wall_time_or_lockstep(path):
         for call in calls
         if getattr(call.func, "id", "") == "LaunchConfiguration"
     ]
-    assert {"time", "use_sim_time"} <= set(used)
+    assert {"time", "use_sim_time", "preset"} <= set(used)
 
 
 @pytest.mark.parametrize("time", ["wall", "lockstep"])

@@ -1,28 +1,44 @@
 """Plant, estimator, controller and reference as separate processes; `model` is a file that fit wrote."""
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
+NODES = (
+    ("vo2_plant_sim", "plant"),
+    ("vo2_estimation", "estimator"),
+    ("vo2_control", "controller"),
+    ("vo2_control", "reference"),
+)
 
-def generate_launch_description() -> LaunchDescription:
-    """Return the launch description."""
-    clock = {
+
+def _nodes(context: LaunchContext) -> list[Node]:
+    """The nodes; the preset, where one is given, goes before that of the parameter file."""
+    given = {
         "time": LaunchConfiguration("time"),
         "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool),
         "clock": ParameterValue(LaunchConfiguration("clock"), value_type=bool),
     }
-    parameters = [LaunchConfiguration("parameters"), LaunchConfiguration("model"), clock]
-    default = PathJoinSubstitution([FindPackageShare("vo2_control"), "config", "loop.yaml"])
-    nodes = [
-        ("vo2_plant_sim", "plant"),
-        ("vo2_estimation", "estimator"),
-        ("vo2_control", "controller"),
-        ("vo2_control", "reference"),
+    if LaunchConfiguration("preset").perform(context):
+        given["preset"] = LaunchConfiguration("preset")
+    return [
+        Node(
+            package=package,
+            executable=executable,
+            namespace=LaunchConfiguration("namespace"),
+            parameters=[LaunchConfiguration("parameters"), LaunchConfiguration("model"), given],
+            output="screen",
+        )
+        for package, executable in NODES
     ]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the launch description."""
+    default = PathJoinSubstitution([FindPackageShare("vo2_control"), "config", "loop.yaml"])
     return LaunchDescription(
         [
             DeclareLaunchArgument("namespace", default_value="/vo2", description="Namespace of the loop."),
@@ -50,15 +66,11 @@ def generate_launch_description() -> LaunchDescription:
                 default_value=default,
                 description="Model file (YAML with model.*) that fit or identifier wrote.",
             ),
-            *(
-                Node(
-                    package=package,
-                    executable=executable,
-                    namespace=LaunchConfiguration("namespace"),
-                    parameters=parameters,
-                    output="screen",
-                )
-                for package, executable in nodes
+            DeclareLaunchArgument(
+                "preset",
+                default_value="",
+                description="Preset or path of a device file; by default what the parameter file says.",
             ),
+            OpaqueFunction(function=_nodes),
         ]
     )

@@ -18,7 +18,7 @@ def generate_launch_description() -> LaunchDescription:
         [
             DeclareLaunchArgument("namespace", default_value="/vo2", description="Namespace of the loop."),
             DeclareLaunchArgument(
-                "preset", default_value="integrated", description="Device preset: integrated or peltier."
+                "preset", default_value="integrated", description="Preset or path of a device file."
             ),
             DeclareLaunchArgument("seed", default_value="1", description="Seed of the simulated device."),
             DeclareLaunchArgument(

@@ -52,9 +52,10 @@ class StandIn:
     def in_words(self) -> str:
         """One sentence for a reader of the answer."""
         names = " and ".join(self.option.chosen.keys)
+        share = min(self.judged.share, 1.0)  # by chance they may leave less than noise
         return (
             f"corrected_model.yaml carries what has no name by the terms that come nearest, {names}: on blocks that they "
-            f"were not fitted on they remove {100 * self.judged.share:.0f} % of the excess; they describe, and name nothing"
+            f"were not fitted on they remove {100 * share:.0f} % of the excess; they describe, and name nothing"
         )
 
 

@@ -116,7 +116,7 @@ def fit_nonparametric_correction(
             found, guess, words, candidate = trials[name]
             if best_energy - found < max(0.03 * excess, 30.0):
                 break
-            share = (best_energy - found) / excess
+            share = min((best_energy - found) / excess, 1.0)  # by chance it may leave less than noise
             chosen.append((name, words, share, float(np.sqrt(np.mean((guess - best)[use] ** 2)))))
             best_energy, best, columns = found, guess, candidate
         shapes += [Shape(channel, n, w, s, size) for n, w, s, size in chosen]

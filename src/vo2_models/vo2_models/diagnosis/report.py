@@ -737,7 +737,10 @@ def _taken_up(study: Study) -> str:
     names = study.search.not_excited if study.reading.first_use else ()
     if not names:
         return ""
-    return f" The refitted device would take up {', '.join(names)}: whether they were there all along cannot be told."
+    return (
+        f" The refitted device would take up {', '.join(names)} even where large, and others where small: whether they were "
+        "there all along cannot be told."
+    )
 
 
 def _loops_in_words(study: Study) -> list[str]:
