@@ -13,8 +13,10 @@ from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import locate
 from vo2_models.diagnosis.moved_alone import moved_alone
 from vo2_models.diagnosis.nominal import Nominal
+from vo2_models.diagnosis.page import report_page
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.read import read
+from vo2_models.diagnosis.report import assemble_diagnosis
 from vo2_models.model_file import load_model_parameters
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
@@ -71,9 +73,11 @@ PAST = np.linspace(0.0, 1.0, 1000)
     ],
 )
 def test_a_room_that_moves_by_kelvins_within_a_recording_is_named_with_its_course(parameters, room) -> None:
-    answer = diagnose([concealed(room=room)], parameters)
+    seen = study([concealed(room=room)], parameters)
+    answer = assemble_diagnosis(seen)
     (effect,) = answer.effects
     assert (answer.verdict, effect.id, answer.moved) == ("differs", "ambient_drift", [])
+    assert "Course of ambient_drift over the time" in report_page(seen, answer)
     low, high = map(float, re.search(r"course in time from (\S+) to (\S+) K", effect.form).groups())
     assert low == pytest.approx(room.min(), abs=0.3) and high == pytest.approx(room.max(), abs=0.3)
 

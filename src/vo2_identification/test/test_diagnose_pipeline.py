@@ -244,6 +244,7 @@ def test_an_effect_that_leaves_noise_alone_leaves_nothing_to_constants(in_series
     assert others and not _without_constants(located, others, Limits(), clock)
 
 
+@pytest.mark.slow
 def test_constants_that_moved_by_themselves_have_no_effect_in_their_place(parameters) -> None:
     moved = dict(parameters)
     for name, by in (("square_gain", 1.015), ("time_constant", 0.98), ("ambient", 1.02)):

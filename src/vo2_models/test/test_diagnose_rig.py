@@ -506,6 +506,7 @@ def test_a_gain_or_a_zero_that_has_moved_is_told_as_that(model, change, constant
     assert found.search.scores and not found.search.singles
 
 
+@pytest.mark.slow
 def test_the_corrected_model_of_fewer_samples_than_its_law_has_parameters_keeps_the_loops():
     plays = fit_model([recorded(1)], DEVICE.key, law="plays")[1]
     found = study([recorded(2, every=16, change=lambda y: 1.3 * y)], plays)
@@ -515,6 +516,7 @@ def test_the_corrected_model_of_fewer_samples_than_its_law_has_parameters_keeps_
     assert any(name.startswith("model.deflection.") for name in written.parameters)
 
 
+@pytest.mark.slow
 def test_beside_a_constant_that_explains_by_itself_nothing_is_named_within_the_misfit(model):
     late = recorded(2, change=lambda y: 1.12 * (y[0] + lfilter([0.8], [1, -0.2], y - y[0])))
     found = study([late], model)

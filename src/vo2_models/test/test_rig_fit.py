@@ -132,6 +132,7 @@ def test_loops_that_relax_are_told_from_a_slow_drive():
     assert error < 0.006 * np.ptp(values)
 
 
+@pytest.mark.slow
 def test_a_response_that_rings_is_fitted_with_its_mode():
     """A stack with a mass: steps make it overshoot. The mode acts behind the loops, on all of the response."""
     drive = np.concatenate([_drive(1000, 150), np.repeat(np.random.default_rng(6).uniform(*VOLTS, 50), 20)])

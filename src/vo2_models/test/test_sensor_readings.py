@@ -95,6 +95,7 @@ def test_what_the_calibration_had_is_not_new(model):
     assert vo2.diagnose([with_mains(levels, both)], fitted).verdict == "agrees"
 
 
+@pytest.mark.slow
 def test_a_device_without_body_has_its_mains_named_and_its_steps_told():
     def recorded(seed: int, hum: float) -> Recording:
         rng, count = np.random.default_rng(seed), 500

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.diagnosis.breakdown import Breakdown
+from vo2_models.diagnosis.explain import Explanation
 from vo2_models.diagnosis.nominal import JUDGED_UNIT
-from vo2_models.diagnosis.report import moved_in_place
+from vo2_models.diagnosis.report import course_of, moved_in_place
 from vo2_models.diagnosis.result import Diagnosis, NamedEffect
 from vo2_models.diagnosis.stages import Study
 from vo2_models.page.figures import figure_html, new_figure
@@ -29,6 +30,8 @@ UNITS = {RESISTANCE: "ohm", TIP_DEFLECTION: "m", STAGE_TEMPERATURE: "degC", HEAT
 """Those for which the labels above are written."""
 BEFORE, AFTER, NOISE = "#D55E00", "#0072B2", "#999999"
 """From the palette of Okabe and Ito; line style and label carry the meaning too."""
+COURSES = (("#0072B2", "-"), ("#D55E00", "--"), ("#009E73", ":"), ("#CC79A7", "-."))
+"""Colour and line style of each recording in turn."""
 
 
 LINEAR, WIDE = 4.0, 5.0
@@ -235,9 +238,39 @@ def _map_figure(
         )
 
 
+def _course_figures(study: Study) -> list[str]:
+    """The course in time of each effect of the answer that has one."""
+    chosen = study.decision.chosen
+    return [
+        _course_figure(study, chosen, index)
+        for index, hypothesis in enumerate(chosen.hypotheses if chosen else ())
+        if chosen and hypothesis.key in chosen.courses
+    ]
+
+
+def _course_figure(study: Study, chosen: Explanation, index: int) -> str:
+    values, unit = course_of(study, chosen, index)
+    name = chosen.hypotheses[index].record.id
+    with new_figure(7.2, 2.4) as figure:
+        axis = figure.subplots()
+        for k, (part, course) in enumerate(zip(study.located.problem.parts, values, strict=True)):
+            colour, style = COURSES[k % len(COURSES)]
+            axis.plot(part.time_s - part.time_s[0], course, color=colour, linestyle=style, label=part.name)
+        axis.set_xlabel("time / s")
+        axis.set_ylabel(f"{name} / {unit}")
+        if len(values) > 1:
+            axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
+        return figure_html(
+            figure,
+            f"Course of {name} over the time of each recording, as it was fitted: slow splines, of which an even part may be "
+            "what constants have moved by.",
+        )
+
+
 def _what(study: Study, diagnosis: Diagnosis) -> str:
     labels = _own_labels(study)
     parts = [_effect(effect, labels) for effect in diagnosis.effects]
+    parts += _course_figures(study)
     if diagnosis.candidates:
         rows = [
             (

@@ -38,6 +38,7 @@ __all__ = [
     "MODEL_DISCREPANCY",
     "assemble_diagnosis",
     "beside_the_first",
+    "course_of",
     "equally_likely",
     "in_own_names",
     "moved_in_place",
@@ -632,22 +633,25 @@ def _one_of(study: Study, best: NamedEffect) -> NamedEffect:
     )
 
 
-def _extent(study: Study, hypothesis: Hypothesis, chosen: Explanation, index: int) -> str:
-    """Between which amplitudes a course goes, over all recordings."""
+def course_of(study: Study, chosen: Explanation, index: int) -> tuple[list[Floats], str]:
+    """Return the amplitude of an effect that takes a course, at each sample of each recording (n,), and its unit.
+
+    Parameters
+    ----------
+    study : of the recordings
+    chosen : an answer
+    index : of one of its hypotheses that has a course
+    """
+    hypothesis = chosen.hypotheses[index]
     bend, name = chosen.courses[hypothesis.key], hypothesis.record.course
     rate = chosen.values[index].get(name, 0.0)
-    values = np.concatenate(
-        [
-            rate * part.dt * np.arange(1, part.size + 1)
-            + bend.amplitude(place, part.size, part.size * part.dt)
-            for place, part in enumerate(study.located.problem.parts)
-        ]
-    )
+    values = [
+        rate * part.dt * np.arange(1, part.size + 1) + bend.amplitude(place, part.size, part.size * part.dt)
+        for place, part in enumerate(study.located.problem.parts)
+    ]
     description = study.located.problem.nominal.model.description
     unit = description.own_unit(hypothesis.parameter(name).unit, hypothesis.signal).removesuffix("/s")
-    if unit == "1":
-        return f" from {100 * values.min():.3g} to {100 * values.max():.3g} %"
-    return f" from {values.min():.3g} to {values.max():.3g} {unit}"
+    return ([100.0 * each for each in values], "%") if unit == "1" else (values, unit)
 
 
 def _ids(keys: Sequence[str]) -> list[str]:
@@ -659,7 +663,9 @@ def _form(study: Study, hypothesis: Hypothesis, chosen: Explanation, index: int)
     """Which of its forms an effect has: what it depends on where it has a choice, and which terms are not zero."""
     words = [hypothesis.record.id.replace("_", " ")]
     if hypothesis.key in chosen.courses:
-        words.append("any slow course in time" + _extent(study, hypothesis, chosen, index))
+        values, unit = course_of(study, chosen, index)
+        low, high = min(each.min() for each in values), max(each.max() for each in values)
+        words.append(f"any slow course in time from {low:.3g} to {high:.3g} {unit}")
     for name, value in chosen.values[index].items():
         parameter = hypothesis.parameter(name)
         if name in hypothesis.choices:
@@ -856,6 +862,11 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     energy = {
         b.channel: b.excess for b in decision.breakdown if b.excess > 0.0 and excess.get(b.channel, 0.0) > 0.0
     } or excess
+    if study.reading.first_use and decision.chosen is not None:
+        # the refitted device has taken up most of it, in any channel: where the effect acts is where they differ
+        energy = dict.fromkeys(excess, 0.0)
+        for row in decision.final.rows:
+            energy[row.channel] += float(np.sum(decision.chosen.deviation[row.where] ** 2))
     where = max(energy, key=lambda c: energy[c])
     family = effects[0].family
     head = (
