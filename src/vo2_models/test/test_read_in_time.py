@@ -3,8 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from vo2_models.device import DeviceModel
 from vo2_models.hysteresis.play_bank import PlayBank
+from vo2_models.identification.grid import held
 from vo2_models.identification.read_in_time import read_in_time
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, Recording, regular
 
@@ -40,6 +42,41 @@ def test_a_body_as_fast_as_the_samples_is_followed_within_one():
     as_read = float(np.sqrt(np.mean((np.log10(read) - exact)[10:] ** 2)))
     assert error(read_in_time(given, fitted)) < 0.15 * as_read
     assert 0.2 * as_read < error(regular(given)) < as_read
+
+
+@pytest.mark.parametrize(
+    "says", ["what flowed up to the instant", "what flows when it is read", "what moves on in between"]
+)
+def test_a_drive_that_is_only_logged_is_read_as_the_model_follows_it(says):
+    """A loop of a law's own, of a body of two samples; what a late sample logs is what flowed before, or already the next."""
+    bank = PlayBank([0.5], [0.0], [0.2], [-12.4], [0.2], [-11.0], [-4.7, 0.001])
+    model = DeviceModel("integrated", resistance=bank)
+    model = replace(model, scalars={**model.scalars, "thermal.time_constant": 2.0e-3})
+    rng, dt, count = np.random.default_rng(3), 1e-3, 2000
+    levels = np.repeat(rng.uniform(4e-3, 9e-3, count // 10 + 1), 10)
+    fine = np.repeat(levels, FINE)
+    if says == "what moves on in between":
+        fine = 6.5e-3 + 2.5e-3 * np.sin(np.arange(fine.size) / (40.0 * FINE))
+    out = np.log10(model.simulation.run(fine, dt=dt / FINE)[:, 1])
+    late = rng.uniform(-0.3, 0.3, count)
+    at = (np.arange(count) + late + 1.0) * FINE - 1.0
+    read = 10.0 ** np.interp(at, np.arange(out.size), out)
+    drive = fine[np.ceil(at).astype(int)]
+    if says == "what flowed up to the instant":
+        drive = levels[:count]
+    given = Recording(dt * (np.arange(count) + late), {HEATER_CURRENT: drive, RESISTANCE: read}, "integrated")
+
+    def error(moved):
+        run = model.simulation.run(held(moved[HEATER_CURRENT]), dt=moved.sample_period_s)[:, 1]
+        off = np.log10(moved[RESISTANCE] / run)[10:]
+        assert np.isfinite(off).mean() > 0.9
+        return float(np.nanmean(off**2)) ** 0.5
+
+    plain = error(regular(given))
+    if says == "what moves on in between":
+        assert error(read_in_time(given, model)) <= plain < 0.01
+    else:
+        assert error(read_in_time(given, model)) < 0.02 < 3.0 * plain
 
 
 def test_regular_samples_are_left_as_they_are():
