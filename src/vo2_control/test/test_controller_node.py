@@ -439,6 +439,57 @@ def test_wall_time_the_loop_waits_for_a_plant_that_follows():
         rig.until(lambda: sample(0.006) and "loop is closed" in rig.status("controller: input")[0])
 
 
+def test_wall_time_a_driver_that_does_not_obey_is_told_and_opens_the_loop():
+    with controller("time:=wall", "rate_hz:=10.0") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        rig.add(ControllerNode)
+
+        def sample(measured_a=None):
+            stamp = time.monotonic_ns()
+            commands = rig.heard["/vo2/command"]
+            flowing = commands[-1][1][0] if commands else 0.0
+            rig.say(
+                "/vo2/measurement", stamp, {"heater_current": flowing if measured_a is None else measured_a}
+            )
+            rig.say("/vo2/estimate", stamp, estimate(30 * UM))
+            rig.say("/vo2/reference", stamp, {"tip_deflection": 30 * UM})
+            rig.spin(0.1)
+            return rig.status("controller: input")[0]
+
+        rig.until(lambda: "closed" in sample())
+        rig.until(lambda: "the measured current is 0.012 A where" in sample(0.012))
+        rig.until(lambda: "safe current" in sample(0.012) and rig.heard["/vo2/command"][-1][1][0] == 0.0)
+        rig.until(lambda: "closed" in sample())
+
+
+def test_wall_time_a_controller_that_is_switched_off_leaves_the_safe_current():
+    with controller("time:=wall", "rate_hz:=20.0", "reference_hold:=true") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        node = rig.add(ControllerNode)
+        after_listening(rig)
+        assert [paced_command(rig, k, 30 * UM) for k in range(1, 8)][-1] > 0.0
+        node._table.set({"enabled": False})
+        rig.until(lambda: rig.heard["/vo2/command"][-1][1][0] == 0.0)
+        count = len(rig.heard["/vo2/command"])
+        rig.spin(0.3)
+        assert len(rig.heard["/vo2/command"]) == count
+
+
+def test_a_reference_that_is_switched_off_needs_no_valid_levels():
+    with controller() as rig:
+        rig.hear("/vo2/reference", ("tip_deflection",))
+        node = rig.add(ReferenceNode)
+        rig.say("/vo2/measurement", 1_000 * MS, {"heater_current": 0.0})
+        rig.until(lambda: len(rig.heard["/vo2/reference"]) == 1)
+        node._table.set({"steps.levels_m": [1.0]})
+        rig.say("/vo2/measurement", 1_001 * MS, {"heater_current": 0.0})
+        rig.until(lambda: "steps.levels_m: found 1 m" in rig.status("reference: signal")[0])
+        node._table.set({"signal": "none"})
+        rig.say("/vo2/measurement", 1_002 * MS, {"heater_current": 0.0})
+        rig.until(lambda: "follows none" in rig.status("reference: signal")[0])
+        assert len(rig.heard["/vo2/reference"]) == 2
+
+
 def test_wall_time_a_second_controller_stands_by_until_the_first_is_silent():
     """The other one commands all the time, as nodes do, and is found after the first samples.
 

@@ -54,3 +54,14 @@ def test_only_what_the_plant_does_after_a_restart_counts():
     echo.command(3 * MS, 0.004)
     echo.measure(3 * MS, 0.004)
     assert not echo.followed
+
+
+def test_a_current_that_stays_far_from_all_commands_is_astray_and_one_on_its_way_is_not():
+    stuck = play([0.004] * 12, [0.004, *[0.012] * 11])
+    assert stuck.astray == 0.012 and stuck.told == 0.004
+    assert math.isnan(play([0.004] * 8, [0.004, *[0.012] * 7]).astray)
+    stuck.measure(13 * MS, 0.0045)
+    assert math.isnan(stuck.astray)
+    # a driver whose lag is of 25 samples, and a sensor that tells nothing
+    assert math.isnan(play([0.0, *[0.012] * 40], [0.012 * (1.0 - 0.96**k) for k in range(41)]).astray)
+    assert math.isnan(play([0.004] * 20, [math.nan] * 20).astray)

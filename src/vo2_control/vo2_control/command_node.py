@@ -48,7 +48,12 @@ COMMAND_NODE_PARAMETERS = (
         "Device: integrated, peltier, or the path of a device file.",
     ),
     AUTOSTART,
-    Parameter("enabled", True, "", "Whether the node commands; off, it only listens."),
+    Parameter(
+        "enabled",
+        True,
+        "",
+        "Whether the node commands; off, it sends the safe current once and only listens.",
+    ),
     Parameter("time", "lockstep", "", "Whose pace the loop keeps.", choices=("lockstep", "wall")),
     Parameter("rate_hz", 0.0, "Hz", "Sampling rate; 0 for the preset's.", 0.0, 20e3),
     Parameter(
@@ -138,7 +143,7 @@ class CommandNode(ManagedNode):
     def _rest(self) -> None:
         """Leave the device at the safe current (wall time; in lockstep no time passes without us)."""
         commands = self._supervisor is not None and self._supervisor.mode != "idle"
-        if self._wall and commands and self._table.flag("enabled") and self._order.last_ns is not None:
+        if self._wall and commands and self._order.last_ns is not None:
             self._publish(self._present_ns(), self._point.safe_a)
         if self._supervisor is not None:
             self._supervisor.stand_by()
@@ -300,6 +305,14 @@ class CommandNode(ManagedNode):
             # a newer one is on its way: of what piled up only that may move the law, or an integrator would run ahead
             self._miss(stamp_ns, f"samples on {self._source} come more than {_LATE:g} periods late")
             return
+        if self._wall and math.isfinite(astray := self._echo.astray):
+            unit = self._point.unit
+            self._miss(
+                stamp_ns,
+                f"the measured current is {astray:.4g} {unit} where {self._echo.told:.4g} {unit} are commanded: "
+                "the driver does not obey, or its sensor is wrong",
+            )
+            return
         before = supervisor.mode
         if before != "starting" and before in OPEN:
             self._echo.restart()
@@ -348,7 +361,10 @@ class CommandNode(ManagedNode):
 
     def _on_tick(self) -> None:
         """Wall time: a period without an answered sample is a missed input."""
-        if not self.active or self._order.last_ns is None or not self._table.flag("enabled"):
+        if not self.active or self._order.last_ns is None:
+            return
+        if not self._table.flag("enabled"):
+            self._rest()
             return
         if self._holds_back(self._order.last_ns):
             return

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from collections.abc import Sequence
 
 from vo2_interface.lockstep import HOLD_SAMPLES
 
@@ -16,6 +18,8 @@ _SAME = 0.1
 """Share of the step between two commands within which a measured current is one of them."""
 _STEP = 0.002
 """Share of the current range below which a step of the command does not matter."""
+_STRAY = 10
+"""Samples in a row for which a measured current is far from all commands and comes no nearer, from which it is astray."""
 
 
 class CommandEcho:
@@ -33,6 +37,9 @@ class CommandEcho:
     ----------
     followed : whether the plant follows the commands
     behind : whether it still applies one of the commands before the last: that one came late, or was lost
+    astray : measured current [A] that has long been far from every command and comes no nearer: a driver that does not obey, or
+        a sensor that does not tell; NaN where there is none
+    told : last command that may show in it [A]
     """
 
     def __init__(self, safe_a: float, span_a: float) -> None:
@@ -46,6 +53,8 @@ class CommandEcho:
         """Forget what was commanded: only what the plant does from now on counts."""
         self.followed = self.behind = False
         self._sent.clear()
+        self.astray, self.told = math.nan, math.nan
+        self._strays, self._strayed_by = 0, 0.0
 
     def command(self, stamp_ns: int, current_a: float) -> None:
         """Note a command."""
@@ -56,6 +65,8 @@ class CommandEcho:
         told = [current for at_ns, current in self._sent if at_ns < stamp_ns][-HOLD_SAMPLES:]
         if not told:
             return
+        self.told = told[-1]
+        self._look_astray(current_a, told)
         steps = [earlier - told[-1] for earlier in told[:-1]]
         self.behind = any(
             abs(step) > self._step_a and abs(current_a - told[-1] - step) <= _SAME * abs(step)
@@ -69,3 +80,13 @@ class CommandEcho:
             self.followed = self.followed and len(told) < HOLD_SAMPLES
         else:
             self.followed = True
+
+    def _look_astray(self, current_a: float, told: Sequence[float]) -> None:
+        off = max(min(told) - current_a, current_a - max(told))
+        if not off > self._away_a:
+            self.astray, self._strays = math.nan, 0
+            return
+        if self._strays == 0 or off < self._strayed_by - self._at_safe_a:  # a slow driver is on its way
+            self._strays, self._strayed_by = 0, off
+        self._strays += 1
+        self.astray = current_a if self._strays >= _STRAY else math.nan

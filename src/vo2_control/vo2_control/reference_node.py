@@ -135,16 +135,17 @@ class ReferenceNode(Node):
             self._device.deflection_range if known else LEVEL,
             self._device.units.get(TIP_DEFLECTION, "m"),
         )
-        for name in ("steps.levels_m", "multisine.offset_m", "multisine.amplitudes_m"):
+        signal = table.text("signal")
+        if signal == "none":
+            return None
+        sines = () if signal == "csv" else ("multisine.offset_m", "multisine.amplitudes_m")
+        for name in ("steps.levels_m",) if signal == "steps" else sines:
             levels = table.numbers(name) if isinstance(table[name], list) else [table.number(name)]
             if name in table.given() and max(map(abs, levels), default=0.0) > _FAR * span:
                 raise ValueError(
                     f"{name}: found {max(levels, key=abs):g} {unit}, need at most {_FAR * span:g}: device {self._device.id} "
                     f"moves over {span:g} {unit}"
                 )
-        signal = table.text("signal")
-        if signal == "none":
-            return None
         if signal == "csv":
             if not table.text("csv.file"):
                 raise ValueError("csv.file: found no name, need a CSV file for signal csv")

@@ -90,6 +90,7 @@ def _run(options: argparse.Namespace, ros_args: list[str]) -> int:
 
 
 def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) -> int:
+    from rclpy.exceptions import NameValidationException
     from vo2_interface.executable import StopFlag, join_graph, leave_graph
 
     from vo2_identification.recorder_node import Recorder, contract_topics
@@ -120,6 +121,8 @@ def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) ->
         except OSError as error:
             failure = failure or error
         return _summary(recorder, options, failure, stood_still_s)
+    except NameValidationException as error:
+        return refuse("record", f"{options.namespace or 'topic'}: {error}")
     except (ValueError, RuntimeError) as error:  # rclpy raises bare RuntimeErrors of its C layer
         return refuse("record", error)
     finally:

@@ -56,6 +56,21 @@ def test_a_best_effort_publisher_is_heard_and_what_it_loses_is_counted(latched):
         rig.until(lambda: "7 samples of" in rig.status("input measurement")[0])
 
 
+def test_a_timer_that_catches_up_makes_one_loss_at_most():
+    with bench() as rig:
+        listener = rig.add(Listener)
+        publisher = rig.node.create_publisher(JointState, "/vo2/measurement", SENSOR)
+        rig.until(lambda: publisher.get_subscription_count() == 1)
+        rig.spin(0.3)
+        stamps = [20 * k for k in range(80)]
+        stamps[30] = stamps[31] - 1  # one tick late, the next in time
+        publish(rig, publisher, [sample(k) for k in stamps])
+        rig.until(lambda: len(listener.heard) == 80)
+        rig.spin(0.1)
+        told = [text for _, text, _ in rig.statuses if "missing by their stamps" in text]
+        assert all(": 1 samples of" in text for text in told)
+
+
 def test_reliability_can_be_overridden_by_parameter():
     name = "qos_overrides./vo2/measurement.subscription.reliability"
     with bench(["--ros-args", "-p", f"{name}:=best_effort"]) as rig:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from copy import copy
+from statistics import median_low
 
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -61,7 +62,7 @@ class SampleInput:
         self._refused: Counter[str] = Counter()
         self._arrived = 0
         self._last_ns: int | None = None
-        self._step_ns = 0
+        self._recent: deque[int] = deque(maxlen=_STEPS)
         self._steps = 0
         self._lost = 0
         self._qos = copy(LATCHED_QOS if latched else READ_QOS)
@@ -97,12 +98,12 @@ class SampleInput:
         if last_ns is None or stamp_ns <= last_ns:
             return
         step = stamp_ns - last_ns
-        # the shortest of many steps is the period; a lost sample makes them longer only
-        self._step_ns = min(self._step_ns, step) if self._step_ns else step
+        self._recent.append(step)
         self._steps += 1
         if self._steps <= _STEPS:
             return
-        lost = round(step / self._step_ns) - 1
+        # the median of the last steps is the period: a lost sample makes one longer, and a timer that catches up one shorter
+        lost = round(step / median_low(self._recent)) - 1
         if lost > 0:
             before, self._lost = self._lost, self._lost + lost
             if (

@@ -25,6 +25,10 @@ ALONE = 8.0
 are too few to tell less from noise that grows with the signal."""
 ABOUT = 11
 """Samples, itself among them, from which is seen what is usual about one."""
+FEW_ABOUT, CLOSE = 7, 0.1
+"""Samples of which up to three may be off together, and share of what these are off that the others may be."""
+SELDOM = 0.1
+"""Share of the edges of a signal at which samples stand alone, up to which they are no late readings."""
 RARE = 0.02
 """Largest share of samples that are outliers; more of them are no accidents."""
 LAGS = 2000
@@ -162,7 +166,8 @@ def outliers(residual: Floats, step: float = 0.0, motion: Floats | None = None) 
     ----------
     residual : (n,) what a model leaves over, so that nothing steep is in it; NaN where missing
     step : of its converter, which makes samples that stand alone by that much [unit of residual]
-    motion : (n,) how far the signal goes within a few samples: one that is read late is off by as much for one of them
+    motion : (n,) how far the signal goes within a few samples: one that is read late is off by as much for one of them, which is
+        seen at most edges or at hardly any
     """
     alone = np.zeros(residual.size, dtype=bool)
     known = np.flatnonzero(np.isfinite(residual))
@@ -172,9 +177,22 @@ def outliers(residual: Floats, step: float = 0.0, motion: Floats | None = None) 
     off = np.abs(x[1:-1] - 0.5 * (x[:-2] + x[2:]))
     usual = np.maximum(np.median(off), median_filter(off, ABOUT, mode="nearest")) / 0.674490
     far = off > np.maximum(ALONE * usual, 3.0 * step)
+    single = far & (np.abs(x[2:] - x[:-2]) < 0.5 * off)
     if motion is not None:
-        far &= off > 2.0 * motion[known[1:-1]]
-    alone[known[1:-1]] = far & (np.abs(x[2:] - x[:-2]) < 0.5 * off)
+        moves = motion[known[1:-1]]
+        late = single & (off <= 2.0 * moves)
+        # what reads late reads late at every edge
+        edges = np.count_nonzero(np.diff((moves > np.maximum(ALONE * usual, 3.0 * step)).astype(int)) == 1)
+        if np.count_nonzero(late) > SELDOM * edges:
+            single &= ~late
+        # two together, or near each other, are each other's neighbours: they are far from what most of those about them are,
+        # and away from edges no answer of the device is as short
+        away = np.abs(x - median_filter(x, FEW_ABOUT, mode="nearest"))
+        apart = away > np.maximum(
+            ALONE * np.median(off) / 0.674490, np.maximum(3.0 * step, 2.0 * motion[known])
+        )
+        alone[known] = apart & (median_filter(away, FEW_ABOUT, mode="nearest") < CLOSE * away)
+    alone[known[1:-1]] |= single
     return alone if np.mean(alone) <= RARE else np.zeros_like(alone)
 
 
