@@ -8,6 +8,7 @@ from concealed_devices import DEVICE, SEED, calibrated, concealed, measured
 from vo2_models.device import DeviceModel, preset, truth
 from vo2_models.device.coefficients import Coefficient
 from vo2_models.diagnosis import diagnose, study, validate
+from vo2_models.diagnosis import read as reading
 from vo2_models.diagnosis.files import write_results
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import locate
@@ -58,6 +59,18 @@ def test_a_room_some_kelvin_off_is_no_laser_that_heats_all_the_time(parameters, 
     assert moved.constant == "thermal.ambient"
     assert moved.now - moved.was == pytest.approx(kelvin, abs=3.0 * moved.std)
     assert moved.std < 0.5
+
+
+def test_of_a_recording_beyond_the_memory_the_beginning_is_judged(parameters, monkeypatch) -> None:
+    recording = concealed(samples=900)
+    monkeypatch.setattr(reading, "BYTES_A_SAMPLE", reading.BYTES_A_SAMPLE * reading._most_samples() / 600.0)
+    seen = read(
+        [recording], Nominal.from_parameters(parameters), ("long",), Limits(), Clock(lambda *_: None, 1)
+    )
+    assert abs(seen.parts[0].size - 600) <= 1
+    assert seen.findings[0].text.startswith(
+        f"long: of {len(recording)} samples the first {seen.parts[0].size} are"
+    )
 
 
 PAST = np.linspace(0.0, 1.0, 1000)

@@ -36,6 +36,7 @@ def test_lines_come_not_too_often_and_not_where_they_are_not_wanted(capsys):
     assert len(capsys.readouterr().err.splitlines()) == 2
     Progress("fit", quiet=True)(0.5, "loops")
     Progress("diagnose", lines=False)(0.5, "loops")
+    Progress("diagnose", every_s=60.0, first_s=60.0)(0.5, "loops")
     assert capsys.readouterr().err == ""
 
 

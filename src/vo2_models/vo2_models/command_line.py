@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 import time
@@ -65,16 +64,22 @@ class Progress:
     program : name of the command, before each line
     quiet : whether nothing is shown
     lines : whether there is anything where standard error is no terminal
-    every_s : least time between two such lines [s]
+    every_s, first_s : least time between two such lines, and before the first [s]
     """
 
     def __init__(
-        self, program: str, *, quiet: bool = False, lines: bool = True, every_s: float = 0.0
+        self,
+        program: str,
+        *,
+        quiet: bool = False,
+        lines: bool = True,
+        every_s: float = 0.0,
+        first_s: float = 0.0,
     ) -> None:
         self._program, self._every_s = program, every_s
         self._terminal = sys.stderr.isatty()
         self._silent = quiet or not (lines or self._terminal)
-        self._began, self._said_at = time.monotonic(), -math.inf
+        self._began, self._said_at = time.monotonic(), first_s - every_s
         self._bar: tqdm | None = None
 
     def __enter__(self) -> Self:

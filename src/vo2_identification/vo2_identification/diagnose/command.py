@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 __all__ = ["continue_with_next", "diagnose_bags", "main"]
 
+_SAY_S = 10.0
+"""Time before the first line of progress, and between two, where there is no terminal [s]."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit status: 0 whatever was found, 2 on unusable input.
@@ -153,7 +156,10 @@ def diagnose_bags(
         recording, found = read_recording(bag, device=model.description)
         recordings.append(recording)
         problems += [f"{bag}: {problem}" for problem in in_few_lines(found)]
-    with Progress("diagnose", quiet=quiet, lines=False) as progress, ThreadPoolExecutor(1) as beside:
+    with (
+        Progress("diagnose", quiet=quiet, every_s=_SAY_S, first_s=_SAY_S) as progress,
+        ThreadPoolExecutor(1) as beside,
+    ):
         files = beside.submit(import_module, "vo2_models.diagnosis.files")  # what draws takes a while to load
         known = len(calibration)
         result = study(
@@ -232,7 +238,7 @@ def continue_with_next(
     print(f"--next: playing an experiment that separates {' and '.join(experiment.separates)}", flush=True)
     recording, _ = read_recording(bags[0])
     bag = output / "next"
-    with Progress("diagnose", quiet=quiet, lines=False) as progress:
+    with Progress("diagnose", quiet=quiet, every_s=_SAY_S, first_s=_SAY_S) as progress:
         complete = play(
             experiment.excitation,
             bag,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -36,6 +37,8 @@ __all__ = ["Reading", "read"]
 Floats = NDArray[np.float64]
 STEP = 0.1
 """Step of a delay around its best, in sample periods."""
+MEMORY, BYTES_A_SAMPLE = 0.6, 45_000.0
+"""Share of the machine's memory that a diagnosis may take, and what it was seen to take for a sample of 20 000 to 200 000."""
 DROPPED = 0.02
 """Share of a channel's range by which the simulation is off 0 where a reading of exactly 0 is none."""
 EARLIEST = -3.0
@@ -116,9 +119,15 @@ def read(
         )
     findings: list[Finding] = []
     parts = []
+    share = min(_most_samples() / sum(map(len, recordings)), 1.0)
     for number, raw in enumerate(recordings, 1):
         recording = aligned(raw, nominal.model.command_delay)
         name = names[number - 1] if names else f"recording {number}"
+        if share < 1.0:
+            recording = recording.slice(0, int(share * len(recording)))
+            text = f"of {len(raw)} samples the first {len(recording)} are judged, as many as this machine's memory takes"
+            more = "another stretch that begins at rest can be given as a recording of its own"
+            findings.append(Finding("long", f"{name}: {text}; {more}"))
         found = check_recording(recording, nominal, name=name)
         findings += found
         dead = {finding.leaves_out for finding in found}
@@ -151,6 +160,11 @@ def read(
         nominal, shapes, tuple(parts), tuple(findings), repeating, constants, calibrations,
         (*evident, *lines),
     )  # fmt: skip
+
+
+def _most_samples() -> int:
+    """How many samples a diagnosis on this machine may take, over all recordings."""
+    return int(MEMORY * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / BYTES_A_SAMPLE)
 
 
 def _restamped(parts: Sequence[Part], nominal: Nominal, limits: Limits) -> tuple[list[Part], list[Finding]]:
