@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 from concealed_devices import calibrated, concealed
 from scipy.signal import lfilter
 from vo2_identification.bags import write_bag
@@ -33,6 +34,15 @@ def test_the_command_writes_a_correction_of_what_has_no_name(tmp_path) -> None:
     assert any("corrected_model.yaml carries" in text for text in answer["limits"])
     models = [DeviceModel.load(path) for path in (tmp_path / "model.yaml", out / "corrected_model.yaml")]
     assert models[1].effects and not models[0].effects
+    # what the file moves is what its head and the answer say
+    before, after = (model.scalars for model in models)
+    moved = {name for name in before if after[name] != pytest.approx(before[name], rel=1e-3)}
+    head = (out / "corrected_model.yaml").read_text().splitlines()[0]
+    assert moved and all(name in head for name in moved)
+    told = [text for text in answer["limits"] if "fitted beside the answer" in text]
+    assert all(
+        any(name in text for text in told) for name in moved - {m["constant"] for m in answer["moved"]}
+    )
     fresh = sagging(concealed(seed=57))
     error = [predict(model, fresh).channels[TIP_DEFLECTION].error for model in models]
     assert error[1] < 0.5 * error[0]

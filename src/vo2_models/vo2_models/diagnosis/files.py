@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from vo2_models.diagnosis.corrected_model import CorrectedModel, StandIn, corrected_model
+from vo2_models.diagnosis.nominal import THERMAL
 from vo2_models.diagnosis.page import report_page
 from vo2_models.diagnosis.report import assemble_diagnosis, in_own_names
 from vo2_models.diagnosis.result import Diagnosis, validate
@@ -45,6 +48,11 @@ def write_results(
         said = [
             "corrected_model.yaml has no correction of what has no name: no term of the catalogue comes near it"
         ]
+    fitted = _fitted_beside(corrected, diagnosis, study)
+    if fitted:
+        said.append(
+            f"corrected_model.yaml holds constants that were fitted beside the answer and are not told to have moved: {fitted}"
+        )
     if study.verdict != "agrees":
         said += _farther_off(corrected, diagnosis, study)
     diagnosis = replace(
@@ -58,11 +66,24 @@ def write_results(
     save_model_parameters(
         folder / "corrected_model.yaml",
         corrected.parameters,
-        comment=f"Effects added by diagnose: {names}{_standing(unnamed)}; constants moved: {moved}",
+        comment=f"Effects added by diagnose: {names}{_standing(unnamed)}; constants moved: {moved}"
+        + (f"; fitted besides: {fitted}" if fitted else ""),
     )
     write_whole(folder / "report.html", report)
     diagnosis.save(folder / "diagnosis.json")
     return diagnosis
+
+
+def _fitted_beside(corrected: CorrectedModel, diagnosis: Diagnosis, study: Study) -> str:
+    """The constants that differ in the file from those of the model, but for those that are told."""
+    told, before = {m.constant for m in diagnosis.moved}, study.located.nominal.parameters
+    return ", ".join(
+        f"{name} {float(corrected.parameters[key]):.5g}"  # type: ignore[arg-type]
+        for name in THERMAL
+        if name not in told
+        and (key := f"model.{name}") in corrected.parameters
+        and not np.isclose(corrected.parameters[key], before.get(key, np.nan), rtol=1e-4)
+    )
 
 
 def _standing(unnamed: StandIn | None) -> str:

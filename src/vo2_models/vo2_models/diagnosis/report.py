@@ -715,7 +715,8 @@ def _by_recording(study: Study) -> list[str]:
         rest = left[row.where]
         energy[row.part] += float((rest if problem.refits else problem.residual[row.where]) @ rest)
         count[row.part] += float(np.count_nonzero(problem.weight[row.where]))
-    excess = energy / np.maximum(count, 1.0) - 1.0
+    # what is fitted to all of them together may leave less than nothing in one
+    excess = np.maximum(energy / np.maximum(count, 1.0), 0.0) - 1.0
     told = ", ".join(f"{part.name} {value:.3g}" for part, value in zip(problem.parts, excess, strict=True))
     text = f"excess in noise powers by recording: {told}"
     if excess.max() > 10.0 * max(excess.min(), study.limits.excess):
