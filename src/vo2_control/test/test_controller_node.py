@@ -63,6 +63,18 @@ def paced_command(rig, k, deflection, reference=30 * UM, period_ms=50):
     return command_of(rig, stamp_ms, deflection, reference)
 
 
+def test_samples_at_another_rate_than_the_nodes_are_told_and_taken_back():
+    with controller("rate_hz:=1000.0") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        rig.add(ControllerNode)
+        for k in range(40):
+            command_at(rig, 4 * k * MS, 30 * UM)
+        rig.until(lambda: "come at 250 Hz, this node runs at 1000 Hz" in rig.status("controller: rate")[0])
+        for k in range(160, 240):
+            command_at(rig, k * MS, 30 * UM)
+        rig.until(lambda: "come at the rate of this node" in rig.status("controller: rate")[0])
+
+
 def test_a_command_waits_for_the_reference_of_its_stamp():
     with controller() as rig:
         rig.hear("/vo2/command", ("heater_current",))

@@ -11,6 +11,7 @@ import secrets
 import time
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from statistics import median
 
 from sensor_msgs.msg import JointState
 from vo2_interface.diagnostics import Diagnostics
@@ -68,6 +69,8 @@ _LISTEN_S = 0.5
 """Wall time for which a node that has just found its input, or another commander, listens before it commands [s]."""
 _LATE = 1.5
 """Periods after which a sample that has not come counts as missing, and one that comes is too old to be answered."""
+_STEPS, _OTHER_RATE = 32, 0.2
+"""Samples after which their rate is looked at, and by how much it may differ from the node's [1]."""
 _ON_THE_WAY = 0.25
 """Share of a period that a command may take to the plant, so that it arrives before the next sample."""
 
@@ -104,6 +107,8 @@ class CommandNode(ManagedNode):
         self._supervisor: Supervisor | None = None
         self._source = source
         self._order, self._age = StampOrder(), SampleAge()
+        self._source_ns: int | None = None
+        self._steps_s: list[float] = []
         self._echo = CommandEcho(self._point.safe_a, self._point.most_a - self._point.least_a)
         self._reference: tuple[int, float] | None = None
         self._waiting: tuple[int, tuple[float, ...]] | None = None
@@ -256,8 +261,28 @@ class CommandNode(ManagedNode):
             self._restart()
         self._heard_s = time.monotonic()
         self._age.hear(stamp_ns, self._heard_s)
+        self._look_at_rate(stamp_ns)
         self._waiting = (stamp_ns, values)
         self._act()
+
+    def _look_at_rate(self, stamp_ns: int) -> None:
+        """Tell where samples do not come at the rate that the law and its limits in time are made for."""
+        last_ns, self._source_ns = self._source_ns, stamp_ns
+        if last_ns is None or stamp_ns <= last_ns:
+            self._steps_s.clear()
+            return
+        self._steps_s.append(1e-9 * (stamp_ns - last_ns))
+        if len(self._steps_s) < _STEPS:
+            return
+        period_s, level = median(self._steps_s), self._diagnostics.level("rate")
+        self._steps_s.clear()
+        if abs(period_s / self._period_s - 1.0) > _OTHER_RATE:
+            text = f"samples on {self._source} come at {1.0 / period_s:.4g} Hz, this node runs at {1.0 / self._period_s:.4g} Hz"
+            self._diagnostics.report(
+                "rate", "warn", f"{text}: set rate_hz and start it anew", stamp_ns=stamp_ns
+            )
+        elif level != "ok":
+            self._diagnostics.report("rate", "ok", "samples come at the rate of this node", stamp_ns=stamp_ns)
 
     def _act(self) -> None:
         """Answer the waiting sample if its set-point is there."""

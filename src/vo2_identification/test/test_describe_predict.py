@@ -8,6 +8,7 @@ import pytest
 import yaml
 from vo2_identification.bags import read_bag, write_bag
 from vo2_models.device import DeviceModel, preset
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.hysteresis.preisach import PreisachOperator
 from vo2_models.prediction import predict as predicted
 from vo2_models.recording import Recording
@@ -159,6 +160,25 @@ def test_what_cannot_be_predicted(folder, tmp_path, capsys):
     assert predict.main([*common, "--drive", "0,up"]) == 2
     assert "--drive: found '0,up', need levels" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("late", [-1, 0, 1])
+def test_a_drive_that_is_stamped_at_the_other_end_of_its_interval_is_taken_so_and_told(late):
+    model = DeviceModel("integrated", deflection=PlayBank([2e-5], [0.0], [0.2], [-12.4], [0.2], [-11.0]))
+    share = np.repeat(np.random.default_rng(2).uniform(0.0, 1.0, 60), 10)
+    current = 4e-3 + 4e-3 * share
+    run = model.simulate(current, dt=1e-3, seed=3)
+    stamped = np.roll(current, -late)
+    given = Recording(
+        1e-3 * np.arange(current.size),
+        {"heater_current": stamped, "tip_deflection": run["tip_deflection"]},
+        "integrated",
+    )
+    found = predicted(model, given)
+    assert found.late == pytest.approx(late * 1e-3)
+    assert found.channels["tip_deflection"].error < 0.02 * found.channels["tip_deflection"].span
+    told = " ".join(predict.summary(found, model.description))
+    assert ("taken to act 0.001 s" in told) == (late != 0) and ("after where" in told) == (late > 0)
 
 
 def test_a_drive_beyond_the_limits_is_told(folder, capsys):

@@ -30,6 +30,8 @@ RESULTS = ("prediction.csv", "bag", "report.html")
 """What the command writes into its folder."""
 _FEW_INSIDE = 0.9
 """Share of the samples within the bounds below which these are told to be too narrow."""
+_BEYOND = 1e-3
+"""Share of its range by which a drive may be read beyond its limits."""
 _TIME = ("time_s", "time")
 
 
@@ -99,10 +101,16 @@ def summary(prediction: Prediction, device: DeviceDescription) -> list[str]:
     lines = []
     low, high = sorted(device.current_range)
     least, most = (float(f(prediction.drive)) for f in (np.nanmin, np.nanmax))
-    if least < low or most > high:
+    beyond = _BEYOND * (high - low)  # a drive is read back with noise
+    if least < low - beyond or most > high + beyond:
         lines.append(
             f"{device.drive_channel}: from {least:.4g} to {most:.4g} {device.drive_unit}, beyond the limits {low:g} to "
             f"{high:g} of device {device.id}: what it does there is not known"
+        )
+    if prediction.late:
+        when = f"{abs(prediction.late):.4g} s {'after' if prediction.late > 0.0 else 'before'}"
+        lines.append(
+            f"{device.drive_channel}: taken to act {when} where it stands in the recording, as the responses show"
         )
     for role, one in prediction.channels.items():
         name, unit = device.names[role], device.units[role]

@@ -26,6 +26,8 @@ __all__ = ["ChannelPrediction", "Prediction", "predict"]
 Floats = NDArray[np.float64]
 _NORMAL_95 = 1.959964
 """Standard deviations that hold 95 % of a normal distribution."""
+_RESTAMPED = 0.25
+"""Share of the squared error that a drive which acts a period earlier or later must leave to be taken as stamped so."""
 _BEGINNING = 0.1
 
 
@@ -62,12 +64,15 @@ class Prediction:
     drive : (n,) what drove the model, in the drive's unit
     channels : role -> prediction
     settled : whether the model was started settled at the first drive instead of from a cold rest
+    late : time after where it stands in the recording at which the drive was taken to act [s]: a sample period, or one before
+        (negative), where only that makes the measured responses follow
     """
 
     time_s: Floats
     drive: Floats
     channels: Mapping[str, ChannelPrediction]
     settled: bool
+    late: float = 0.0
 
 
 def predict(model: DeviceModel, recording: Recording) -> Prediction:
@@ -89,12 +94,14 @@ def predict(model: DeviceModel, recording: Recording) -> Prediction:
     grid = on_grid(aligned(recording, model.command_delay))
     roles = [role for role in model.description.channels if role != HEATER_CURRENT and _has(model, role)]
 
-    def simulated(settled: bool) -> dict[str, Floats]:
-        run = model.simulate(grid.current, dt=grid.dt, noise=False, settled=settled)
+    def simulated(settled: bool, periods: int = 0) -> dict[str, Floats]:
+        at = np.clip(np.arange(grid.current.size) - periods, 0, grid.current.size - 1)
+        run = model.simulate(grid.current[at], dt=grid.dt, noise=False, settled=settled)
         return {role: _judged(role, run[role]) for role in roles}
 
-    def beginning(outputs: Mapping[str, Floats]) -> float:
-        count = max(int(_BEGINNING * grid.current.size), 8)
+    def apart(outputs: Mapping[str, Floats], share: float) -> float:
+        """Squared error over the beginning of the recording, summed over its responses, each over its variance."""
+        count = max(int(share * grid.current.size), 8)
         return sum(
             float(np.nanmean((grid.measured[role][:count] - outputs[role][:count]) ** 2))
             / float(np.nanvar(grid.measured[role]) or 1.0)
@@ -106,13 +113,21 @@ def predict(model: DeviceModel, recording: Recording) -> Prediction:
     outputs = simulated(settled)
     if model.heats and any(role in grid.measured for role in roles):
         other = simulated(True)
-        settled = beginning(other) < beginning(outputs)
+        settled = apart(other, _BEGINNING) < apart(outputs, _BEGINNING)
         outputs = other if settled else outputs
+    periods = 0
+    if model.description.has_body and any(role in grid.measured for role in roles):
+        # a rig may stamp its drive at the other end of the interval
+        shifted = {k: simulated(settled, k) for k in (-1, 1)}
+        best = min(shifted, key=lambda k: apart(shifted[k], 1.0))
+        if apart(shifted[best], 1.0) < _RESTAMPED * apart(outputs, 1.0):
+            periods, outputs = best, shifted[best]
     return Prediction(
         _stamps(recording, grid),
         grid.current,
         {role: _compared(model, role, outputs[role], grid.measured.get(role)) for role in roles},
         settled,
+        periods * grid.dt,
     )
 
 
