@@ -11,7 +11,7 @@ import tty
 from typing import Protocol
 from urllib.parse import parse_qs, urlsplit
 
-__all__ = ["Link", "LinkError", "open_link"]
+__all__ = ["AbsentError", "Link", "LinkError", "open_link"]
 
 _BLOCK = 65_536
 _LONGEST = 1_000_000
@@ -19,6 +19,10 @@ _LONGEST = 1_000_000
 
 class LinkError(ValueError):
     """The instrument does not answer, or not in lines; one line says which and what to look at."""
+
+
+class AbsentError(LinkError, ConnectionError):
+    """Nobody is there: the instrument is off, or not yet on; a node that starts ends with status 1, and may be started again."""
 
 
 class _Port(Protocol):
@@ -161,7 +165,7 @@ def open_link(address: str, timeout_s: float) -> Link:
             return Link(_serial_port(parts.path, baud), address, timeout_s)
     except (OSError, termios.error) as error:
         reason = error.args[-1] if error.args else error
-        raise LinkError(f"connection: {address}: {reason}: is the instrument on?") from error
+        raise AbsentError(f"connection: {address}: {reason}: is the instrument on?") from error
     except ValueError as error:
         raise LinkError(f"connection: {address}: {error}") from error
     raise LinkError(f"connection: found {address!r}, need tcp://HOST:PORT or serial:///dev/NAME?baud=115200")

@@ -227,3 +227,18 @@ def test_no_instrument_ends_the_command_with_status_two():
     assert process.stderr.splitlines()[-1].startswith(
         "rig_node.py: connection: tcp://127.0.0.1:1: Connection"
     )
+
+
+def test_an_instrument_that_is_off_is_told_and_the_node_may_be_started_again():
+    command = [
+        sys.executable,
+        "-m",
+        "rig_template.rig_node",
+        "--ros-args",
+        "-p",
+        "connection:=tcp://127.0.0.1:1",
+    ]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    # 2 is for what cannot be used, which `supervise` does not start again
+    assert ended.returncode == 1
+    assert ended.stderr.strip().splitlines()[-1].endswith("is the instrument on?")

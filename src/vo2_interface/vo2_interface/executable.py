@@ -226,7 +226,7 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
     """Compose nodes in one executor, spin until SIGINT or SIGTERM, close them; return the exit status.
 
     A parameter or argument that cannot be used, or a graph that does not let the node in, ends with one line on standard
-    error and status 2.
+    error and status 2; hardware that is not there with one and status 1.
 
     Parameters
     ----------
@@ -294,7 +294,8 @@ def run_nodes(*make_nodes: Callable[[], Node], args: Sequence[str] | None = None
         if len(nodes) == len(make_nodes):
             raise
         print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+        # what is not there may come: `supervise` starts such a node again
+        return 1 if isinstance(error, OSError) else 2
     except rclpy_implementation.RCLError as error:
         if len(nodes) == len(make_nodes):
             raise
