@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -161,7 +162,11 @@ def _summary(result: FitResult) -> list[str]:
     if device.has_body:
         for role, law in ((RESISTANCE, result.model.resistance), (TIP_DEFLECTION, result.model.deflection)):
             if isinstance(law, PlayBank) and law.present:
-                lines.append(f"loop of {device.names.get(role, role)}: {law.loop_width:.3g} K wide")
+                ends = [device.steady_temperature(drive) for drive in device.operating_range]
+                rising, falling, _ = law.half_way(min(ends), max(ends))
+                if math.isfinite(rising - falling):
+                    name = device.names.get(role, role)
+                    lines.append(f"loop of {name}: {rising - falling:.3g} K wide at half its height")
     return lines + [f"note: {note}" for note in result.notes]
 
 

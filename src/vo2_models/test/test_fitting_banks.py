@@ -1,5 +1,6 @@
 """Parts of the fit: derivatives, least squares, grid, noise."""
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 from vo2_models.device import truth
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.bank_fit import BankShape, evaluate, fit_bank, starting_shape
 from vo2_models.identification.bank_uncertainty import bank_uncertainty
 from vo2_models.identification.device_fit import fit_device
@@ -228,3 +230,18 @@ def test_loop_of_the_ground_truth_is_learnt():
     fit = fit_bank(path, values, starting_shape(path, values, plays=6))
     gap = evaluate(fit.shape, test["true_temperature"])[0] - test["true_tip_deflection"]
     assert np.mean(np.abs(gap)) < 0.002 * 57.03e-6
+
+
+def test_the_width_at_half_height_is_that_of_the_branches_over_a_range():
+    # a play of width 6 K in the range, and one so far beyond that its loop is never done
+    bank = PlayBank([1.0, 0.4], [0.0, 0.0], [0.4, 0.1], [-26.0, -14.0], [0.4, 0.1], [-23.6, -9.0], [3.0])
+    rising, falling, span = bank.half_way(30.0, 90.0)
+    up = np.linspace(30.0, 90.0, 60_001)
+    memory = bank.settle(30.0)
+    heating = bank.run(up, memory)
+    cooling = bank.run(up[::-1], memory)[::-1]
+    middle = 0.5 * (heating.min() + heating.max())
+    assert span == pytest.approx(np.ptp(heating), rel=1e-3)
+    assert rising == pytest.approx(up[np.argmax(heating >= middle)], abs=0.1)
+    assert falling == pytest.approx(up[np.argmax(cooling >= middle)], abs=0.1)
+    assert math.isnan(PlayBank([1.0], [0.0], [0.4], [-44.0], [0.4], [-36.0]).half_way(20.0, 30.0)[1])

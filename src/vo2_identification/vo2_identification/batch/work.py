@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 import warnings
@@ -25,7 +26,6 @@ __all__ = ["Outcome", "Task", "work"]
 
 Row = dict[str, Any]
 """Column -> number, text or None; a row of the table."""
-_LOOP_POINTS = 801
 
 
 @dataclass(frozen=True)
@@ -158,22 +158,10 @@ def _constants(model: DeviceModel) -> Row:
 
 def _loop(bank: PlayBank, cold: float, hot: float) -> Row:
     """Span of a law's major loop, where both branches cross its middle, and how far apart; in the law's units."""
-    up = np.linspace(cold, hot, _LOOP_POINTS)
-    memory = bank.settle(cold)
-    heating, cooling = bank.run(up, memory), bank.run(up[::-1], memory)[::-1]
-    low, high = min(heating.min(), cooling.min()), max(heating.max(), cooling.max())
-    crossings = []
-    for branch in (heating, cooling):
-        above = np.flatnonzero(np.diff(branch >= 0.5 * (low + high)))
-        crossings.append(float(np.mean(up[above])) if above.size else None)
-    first, second = crossings
+    *crossings, span = bank.half_way(cold, hot)
+    first, second = (None if math.isnan(at) else at for at in crossings)
     width = None if first is None or second is None else first - second
-    return {
-        "loop_span": float(high - low),
-        "middle_heating": first,
-        "middle_cooling": second,
-        "loop_width": width,
-    }
+    return {"loop_span": span, "middle_heating": first, "middle_cooling": second, "loop_width": width}
 
 
 def _diagnose(task: Task, place: Path) -> Row:

@@ -32,6 +32,8 @@ Floats = NDArray[np.float64]
 
 _FARTHEST = 40.0
 """Where tanh is 1 to the last bit: exp(-40) < 2^-54."""
+_LOOP_POINTS = 801
+"""Points of a branch of the major loop."""
 _NARROW = 0.15
 """Width of a play's own loop, as a share of the mean, below which it is reversible: each play fitted to six devices of
 the own simulator had at most 0.11 of it or at least 0.2."""
@@ -224,6 +226,25 @@ class PlayBank(Law):
         """Width of the loops, by the weights of the plays that have one, in the input's unit; 0 without any."""
         share = np.delete(np.abs(self.weights), self.reversible)
         return float(np.dot(share, np.delete(self._widths, self.reversible)) / max(np.sum(share), 1e-300))
+
+    def half_way(self, low: float, high: float) -> tuple[float, float, float]:
+        """Return where both branches of the major loop between two inputs are half way, and its span.
+
+        Parameters
+        ----------
+        low, high : ends of the loop [input unit]
+
+        Returns
+        -------
+        input at half way with rising and with falling input, NaN for a branch that does not get there, and the span [output unit]
+        """
+        up = np.linspace(low, high, _LOOP_POINTS)
+        memory = self.settle(low)
+        branches = (self.run(up, memory), self.run(up[::-1], memory)[::-1])
+        ends = [end(branch) for branch in branches for end in (np.min, np.max)]
+        crossed = [np.flatnonzero(np.diff(branch >= 0.5 * (min(ends) + max(ends)))) for branch in branches]
+        rising, falling = (float(np.mean(up[at])) if at.size else math.nan for at in crossed)
+        return rising, falling, float(max(ends) - min(ends))
 
     @cached_property
     def _widths(self) -> Floats:
