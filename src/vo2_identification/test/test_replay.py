@@ -61,6 +61,22 @@ def test_every_message_arrives_unchanged_in_rhythm(graph, tmp_path):
     assert str(bag) in out
 
 
+def test_all_who_listen_already_get_the_beginning(graph, tmp_path):
+    bag = write_bag(tmp_path / "bag", recording_of(200))
+    others = [Graph() for _ in range(3)]
+    try:
+        heard = [each.collect(JointState, "/vo2/measurement", READ_QOS) for each in (graph, *others)]
+        with running(REPLAY, bag, "--wait", 10) as process:
+            for each, messages in zip((graph, *others), heard, strict=True):
+                each.spin_until(lambda messages=messages: len(messages) >= 200, "the last message")
+            out, _ = process.communicate(timeout=PATIENCE_S)
+    finally:
+        for each in others:
+            each.close()
+    assert [stamps(messages) for messages in heard] == [[k * 1_000_000 for k in range(200)]] * 4
+    assert "Playing /vo2/measurement to 4 subscribers" in out
+
+
 def test_a_loop_moves_stamps_on_and_says_so(graph, tmp_path):
     bag = write_bag(tmp_path / "bag", recording_of(50, period_s=0.002))
     heard = graph.collect(JointState, "/vo2/measurement", READ_QOS)

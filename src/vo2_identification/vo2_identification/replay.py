@@ -204,15 +204,24 @@ def _stand(control: ReplayControl, target_s: float, stopped: Callable[[], bool])
 def _wait_for_subscribers(
     publishers: dict[str, Publisher], wait_s: float, stopped: Callable[[], bool]
 ) -> list[str]:
-    """Wait until every topic has a subscriber, at most `wait_s`; return the topics that have none."""
-    deadline = time.monotonic() + wait_s
+    """Wait until every topic has a subscriber and none has come for a while, at most `wait_s`; return the topics without one.
+
+    Who is on the graph already is met one after the other: what is published before would be lost to the others.
+    """
+    began = since = time.monotonic()
+    known: dict[str, int] = {}
     while True:
-        silent = [topic for topic, publisher in publishers.items() if not publisher.get_subscription_count()]
-        if not silent or stopped() or time.monotonic() >= deadline:
+        found = {topic: publisher.get_subscription_count() for topic, publisher in publishers.items()}
+        now = time.monotonic()
+        if found != known:
+            known, since = found, now
+        silent = [topic for topic, count in found.items() if not count]
+        if stopped() or now - began >= wait_s or (not silent and now - since >= _SETTLE_S):
             break
         time.sleep(0.02)
-    if wait_s:
-        time.sleep(min(_SETTLE_S, wait_s))  # the other side learns of the match a little later
+    told = ", ".join(f"{topic} to {count}" for topic, count in known.items() if count)
+    if told:
+        print(f"Playing {told} subscribers; who comes later misses what was before.", flush=True)
     return silent
 
 
@@ -306,7 +315,7 @@ def _parser() -> argparse.ArgumentParser:
         type=float,
         default=3.0,
         metavar="S",
-        help="Wait at most S seconds until every topic has a subscriber, then start. Default: 3.",
+        help="Wait at most S seconds until every topic has a subscriber and no more come, then start. Default: 3.",
     )
     return parser
 
