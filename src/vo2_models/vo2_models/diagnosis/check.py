@@ -26,9 +26,11 @@ from vo2_models.recording import (
     regular_instants,
 )
 
-__all__ = ["SHORTEST", "Finding", "Unusable", "check_recording"]
+__all__ = ["SHORTEST", "Finding", "Unusable", "check_recording", "stamp_in_words"]
 
 Floats = NDArray[np.float64]
+_OF_DAY_S = 1e6
+"""Stamps beyond are times of day [s]."""
 COPIED = 1e-6
 """Relative spread of the ratio of two channels up to which one is a copy of the other: rounding."""
 FAR = 100.0
@@ -156,6 +158,11 @@ def _mixed_up(recording: Recording, nominal: Nominal) -> str:
     return ""
 
 
+def stamp_in_words(stamp_s: float) -> str:
+    """Return a stamp [s] with its unit; of a time of day the milliseconds too, which are behind the tenth digit."""
+    return f"{stamp_s:.3f} s" if abs(stamp_s) > _OF_DAY_S else f"{stamp_s:.6g} s"
+
+
 def _clock(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:
     steps = np.diff(recording.time_s)
     dt = recording.sample_period_s
@@ -195,7 +202,7 @@ def _clock(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:
         found.append(
             Finding(
                 "gap",
-                f"{np.count_nonzero(gaps)} gaps, the first at {first:.6g} s, {100 * missing:.1f} % of the time: where "
+                f"{np.count_nonzero(gaps)} gaps, the first at {stamp_in_words(first)}, {100 * missing:.1f} % of the time: where "
                 "no command is known, the current is taken as held over them",
             )
         )

@@ -12,7 +12,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.optimize import minimize_scalar
 
 from vo2_models.diagnosis.breakdown import one_loop
-from vo2_models.diagnosis.check import SHORTEST, Finding, Unusable, check_recording
+from vo2_models.diagnosis.check import SHORTEST, Finding, Unusable, check_recording, stamp_in_words
 from vo2_models.diagnosis.consistency import check_consistency
 from vo2_models.diagnosis.evident import Evident, evident_effects, untold_steps, without_lines
 from vo2_models.diagnosis.limits import Limits
@@ -297,11 +297,12 @@ def _without_outliers(
             dropped = _dropped(part, response, channel)
             if np.any(dropped):
                 valid[channel] = valid[channel] & ~dropped
+                first = stamp_in_words(part.time_s[np.argmax(dropped)])
                 told.append(
                     Finding(
                         "dropped",
                         f"{part.name}: {np.count_nonzero(dropped)} samples of {channel} stand at exactly 0, most of them far "
-                        f"from the simulation, the first at {part.time_s[np.argmax(dropped)]:.6g} s: a loose contact or a lost "
+                        f"from the simulation, the first at {first}: a loose contact or a lost "
                         "reading, which are not judged",
                     )
                 )
@@ -313,7 +314,7 @@ def _without_outliers(
                     Finding(
                         "outliers",
                         f"{part.name}: {count} sample{'s' if count > 1 else ''} of {channel} stand{'' if count > 1 else 's'} "
-                        f"alone, the first at {part.time_s[np.argmax(alone)]:.6g} s: outliers, which are not judged",
+                        f"alone, the first at {stamp_in_words(part.time_s[np.argmax(alone)])}: outliers, which are not judged",
                     )
                 )
         found.append((replace(part, valid=valid), response))
