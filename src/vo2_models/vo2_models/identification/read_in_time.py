@@ -76,7 +76,7 @@ def read_in_time(recording: Recording, model: DeviceModel) -> Recording:
         _moved(flowed, late, model),
         _moved(even, np.zeros(len(even)), model),
     ]
-    read, _ = min(found, key=lambda one: float(np.mean(one[1])))
+    read, _ = min(found, key=lambda one: float(np.sum(one[1]) / max(int(np.count_nonzero(one[1])), 1)))
     channels = dict(read.channels)
     channels[HEATER_CURRENT] = channels.pop(COMMANDED_CURRENT, channels[HEATER_CURRENT])
     return replace(read, channels=channels)
@@ -124,12 +124,9 @@ def _moved(placed: Recording, late: Floats, model: DeviceModel) -> tuple[Recordi
 
     That is the sum over the channels of the absolute difference over the channel's range, 0 for a value that is missing.
     """
-    drive = placed[HEATER_CURRENT]
-    if COMMANDED_CURRENT in placed:
-        command = placed[COMMANDED_CURRENT]
-        # before the first command only the log says what flowed
-        known = np.isfinite(command) | (np.cumsum(np.isfinite(command)) > 0)
-        drive = np.where(known, command, drive) if HEATER_CURRENT in placed else command
+    drive = placed[COMMANDED_CURRENT if COMMANDED_CURRENT in placed else HEATER_CURRENT]
+    if HEATER_CURRENT in placed:  # before the first command
+        drive = np.where(np.isfinite(drive), drive, placed[HEATER_CURRENT])
     out = model.simulation.run(np.repeat(held(drive), FINE), dt=placed.sample_period_s / FINE)
     steps = np.arange(len(placed), dtype=np.float64)
     fine = (np.arange(len(out)) + 1.0) / FINE - 1.0
