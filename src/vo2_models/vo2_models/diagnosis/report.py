@@ -95,6 +95,7 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
             *limits_in_words(study.reading.findings),
             *_by_recording(study),
             *_mimics(study),
+            *_even_parts(study),
             *_in_place_of_constants(study),
             *_sure(study),
             *_scattered_ends(study),
@@ -221,6 +222,21 @@ def moved_in_place(study: Study) -> list[str]:
     *others, last = sets[1:OTHERS] if len(sets) <= OTHERS else [*sets[1:OTHERS], "others"]
     names = f"{', '.join(others)} or {last}" if others else last
     return [f"{names} may have moved in place of {sets[0]}"]
+
+
+def _even_parts(study: Study) -> list[str]:
+    """Beside a course: that what is even in it may be something else."""
+    chosen = study.decision.chosen
+    told = []
+    for index, hypothesis in enumerate(chosen.hypotheses if chosen else ()):
+        if chosen and hypothesis.key in chosen.courses:
+            values, unit = course_of(study, chosen, index)
+            begins = ", ".join(f"{each[0]:.3g}" for each in values)
+            told.append(
+                f"{hypothesis.record.id} begins at {begins} {unit}: the even part of a course may be a constant that has moved, "
+                "or what acts all the time"
+            )
+    return told
 
 
 def _in_place_of_constants(study: Study) -> list[str]:
