@@ -1,9 +1,27 @@
 """Control laws by name."""
 
+from multiprocessing import Pipe
+
 import pytest
 from vo2_control.designer import Designer, Task, make_design
 from vo2_control.designs import design_controller
 from vo2_models.device.description import described
+
+from vo2_control import designer
+
+
+def test_a_process_that_designs_ends_quietly_when_its_owner_has_gone(monkeypatch):
+    ours, theirs = Pipe()
+    monkeypatch.setattr(designer.os, "nice", lambda _: None)
+    monkeypatch.setattr(designer.signal, "signal", lambda *_: None)
+
+    def gone(_task):
+        ours.close()
+        raise ValueError("too late")
+
+    monkeypatch.setattr(designer, "make_design", gone)
+    ours.send((1, None))
+    assert designer._work(theirs) is None
 
 
 @pytest.mark.parametrize("operating_a", [0.0, -0.7])

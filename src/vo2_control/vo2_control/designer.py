@@ -149,4 +149,7 @@ def _work(connection: Connection) -> None:
         except Exception as error:  # nobody is above this loop: what it dies of must reach the operator
             traceback.print_exc()
             found = f"the design broke down: {error!r}; the log has the traceback"
-        connection.send((number, found))
+        try:
+            connection.send((number, found))
+        except OSError:  # the owner has gone
+            return
