@@ -258,6 +258,7 @@ def test_a_duration_ends_it_and_silence_is_said(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
+        (["--output", "{new}", "--namespace", "bad ns"], "--namespace: Invalid namespace"),
         (["--output", "{there}"], "exists already"),
         (["--output", "{there}/file/bag"], "cannot be created"),
         (["--output", "{new}", "--duration", "-1"], "--duration"),

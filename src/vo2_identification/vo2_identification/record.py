@@ -90,11 +90,17 @@ def _run(options: argparse.Namespace, ros_args: list[str]) -> int:
 
 
 def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) -> int:
-    from rclpy.exceptions import NameValidationException
+    from rclpy.exceptions import InvalidNamespaceException
+    from rclpy.validate_namespace import validate_namespace
     from vo2_interface.executable import StopFlag, join_graph, leave_graph
 
     from vo2_identification.recorder_node import Recorder, contract_topics
 
+    if options.namespace:
+        try:
+            validate_namespace(f"/{options.namespace.strip('/')}")
+        except InvalidNamespaceException as error:
+            return refuse("record", f"--namespace: {error}")
     topics = wanted = None
     if options.topics:
         known = contract_topics(options.namespace or "/vo2")
@@ -121,8 +127,6 @@ def _record(bag: BagWriter, options: argparse.Namespace, ros_args: list[str]) ->
         except OSError as error:
             failure = failure or error
         return _summary(recorder, options, failure, stood_still_s)
-    except NameValidationException as error:
-        return refuse("record", f"{options.namespace or 'topic'}: {error}")
     except (ValueError, RuntimeError) as error:  # rclpy raises bare RuntimeErrors of its C layer
         return refuse("record", error)
     finally:
