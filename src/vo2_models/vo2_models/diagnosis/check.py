@@ -159,7 +159,12 @@ def _mixed_up(recording: Recording, nominal: Nominal) -> str:
 
 
 def stamp_in_words(stamp_s: float) -> str:
-    """Return a stamp [s] with its unit; of a time of day the milliseconds too, which are behind the tenth digit."""
+    """Return a stamp with its unit; of a time of day the milliseconds too, which are behind the tenth digit.
+
+    Parameters
+    ----------
+    stamp_s : [s]
+    """
     return f"{stamp_s:.3f} s" if abs(stamp_s) > _OF_DAY_S else f"{stamp_s:.6g} s"
 
 
