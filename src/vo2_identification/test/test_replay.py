@@ -61,20 +61,22 @@ def test_every_message_arrives_unchanged_in_rhythm(graph, tmp_path):
     assert str(bag) in out
 
 
-def test_all_who_listen_already_get_the_beginning(graph, tmp_path):
-    bag = write_bag(tmp_path / "bag", recording_of(200))
-    others = [Graph() for _ in range(3)]
-    try:
-        heard = [each.collect(JointState, "/vo2/measurement", READ_QOS) for each in (graph, *others)]
-        with running(REPLAY, bag, "--wait", 10) as process:
-            for each, messages in zip((graph, *others), heard, strict=True):
-                each.spin_until(lambda messages=messages: len(messages) >= 200, "the last message")
-            out, _ = process.communicate(timeout=PATIENCE_S)
-    finally:
-        for each in others:
-            each.close()
-    assert [stamps(messages) for messages in heard] == [[k * 1_000_000 for k in range(200)]] * 4
-    assert "Playing /vo2/measurement to 4 subscribers" in out
+class Met:
+    """A publisher that meets three subscribers one after the other."""
+
+    def __init__(self):
+        self.began = time.monotonic()
+
+    def get_subscription_count(self):
+        return min(3, 1 + int((time.monotonic() - self.began) / 0.2))
+
+
+def test_it_begins_when_no_more_subscribers_come(capsys):
+    met = Met()
+    assert replay._wait_for_subscribers({"/vo2/measurement": met}, 30.0, lambda: False) == []
+    assert time.monotonic() - met.began > 0.4 + replay._SETTLE_S
+    assert "Playing /vo2/measurement to 3 subscribers" in capsys.readouterr().out
+    assert replay._wait_for_subscribers({"/vo2/measurement": Met()}, 0.0, lambda: False) == []
 
 
 def test_a_loop_moves_stamps_on_and_says_so(graph, tmp_path):
