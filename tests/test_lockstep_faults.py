@@ -54,7 +54,7 @@ def test_simulated_time_waits_for_a_recorder_that_stalls_and_nothing_is_lost(mod
         loop.stall("record", _STALL_S)
         during = loop.samples - before
         told = [text for who, text, _ in loop.rig.statuses if who == "vo2/plant: listeners"]
-        loop.rig.until(lambda: loop.samples > before + during + 3000)
+        loop.rig.until(lambda: loop.samples > before + during + 3000, 240.0)  # beside full lanes of tests
         loop.signal("record", signal.SIGINT)
         assert loop.processes["record"].process.wait(60.0) == 0, hears.read_text()[-2000:]
     assert any("does not keep up" in text for text in told), during
