@@ -176,6 +176,7 @@ def test_a_drive_that_is_stamped_at_the_other_end_of_its_interval_is_taken_so_an
     )
     found = predicted(model, given)
     assert found.late == pytest.approx(late * 1e-3)
+    np.testing.assert_array_equal(found.drive[1:-1], current[1:-1])  # what drove the model
     assert found.channels["tip_deflection"].error < 0.02 * found.channels["tip_deflection"].span
     told = " ".join(predict.summary(found, model.description))
     assert ("taken to act 0.001 s" in told) == (late != 0) and ("after where" in told) == (late > 0)

@@ -94,9 +94,11 @@ def predict(model: DeviceModel, recording: Recording) -> Prediction:
     grid = on_grid(aligned(recording, model.command_delay))
     roles = [role for role in model.description.channels if role != HEATER_CURRENT and _has(model, role)]
 
+    def drive(periods: int) -> Floats:
+        return grid.current[np.clip(np.arange(grid.current.size) - periods, 0, grid.current.size - 1)]
+
     def simulated(settled: bool, periods: int = 0) -> dict[str, Floats]:
-        at = np.clip(np.arange(grid.current.size) - periods, 0, grid.current.size - 1)
-        run = model.simulate(grid.current[at], dt=grid.dt, noise=False, settled=settled)
+        run = model.simulate(drive(periods), dt=grid.dt, noise=False, settled=settled)
         return {role: _judged(role, run[role]) for role in roles}
 
     def apart(outputs: Mapping[str, Floats], share: float) -> float:
@@ -124,7 +126,7 @@ def predict(model: DeviceModel, recording: Recording) -> Prediction:
             periods, outputs = best, shifted[best]
     return Prediction(
         _stamps(recording, grid),
-        grid.current,
+        drive(periods),
         {role: _compared(model, role, outputs[role], grid.measured.get(role)) for role in roles},
         settled,
         periods * grid.dt,

@@ -8,7 +8,7 @@ from difflib import get_close_matches
 
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
-__all__ = ["CHANNEL_QUANTITIES", "SI", "UNITS", "Unit", "fitting_units", "unit_named"]
+__all__ = ["CHANNEL_QUANTITIES", "SI", "UNITS", "Unit", "fitting_units", "stamp_in_words", "unit_named"]
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,8 @@ class Unit:
     offset: float = 0.0
 
 
+_OF_DAY_S = 1e6
+"""Stamps beyond are times of day [s]."""
 _PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "m": 1e-3, "u": 1e-6, "n": 1e-9}
 _MICRO = ("\N{MICRO SIGN}", "\N{GREEK SMALL LETTER MU}")
 _BASES = {
@@ -122,3 +124,14 @@ def _plain(name: str) -> str:
             if name.endswith(other):
                 return name.removesuffix(other) + plain
     return name
+
+
+def stamp_in_words(stamp_s: float, *, digits: int = 6) -> str:
+    """Return a stamp with its unit; of a time of day the milliseconds too, which are behind the tenth digit.
+
+    Parameters
+    ----------
+    stamp_s : [s]
+    digits : of a stamp that is no time of day
+    """
+    return f"{stamp_s:.3f} s" if abs(stamp_s) > _OF_DAY_S else f"{stamp_s:.{digits}g} s"

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from vo2_models.io import InputError, one_line
+from vo2_models.units import stamp_in_words
 
 __all__ = ["BagError", "Problem", "in_few_lines", "limited"]
 
@@ -20,10 +21,6 @@ _KINDS = {
 
 class BagError(InputError):
     """A bag that cannot be used at all; the message is one line that names it and the remedy."""
-
-
-_OF_DAY_S = 1e6
-"""Stamps beyond are times of day, whose milliseconds are behind the tenth digit [s]."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,7 @@ class Problem:
     def __str__(self) -> str:
         place = [self.topic]
         if self.time_s is not None:
-            place.append(f"at {self.time_s:{'.3f' if abs(self.time_s) > _OF_DAY_S else '.9g'}} s")
+            place.append(f"at {stamp_in_words(self.time_s, digits=9)}")
         if self.index is not None:
             in_file = self.kind in {"truncated", "corrupt", "metadata", "missing_file"}
             place.append(f"{'byte' if in_file else 'sample'} {self.index}")

@@ -25,12 +25,11 @@ from vo2_models.recording import (
     jitter_of,
     regular_instants,
 )
+from vo2_models.units import stamp_in_words
 
-__all__ = ["SHORTEST", "Finding", "Unusable", "check_recording", "stamp_in_words"]
+__all__ = ["SHORTEST", "Finding", "Unusable", "check_recording"]
 
 Floats = NDArray[np.float64]
-_OF_DAY_S = 1e6
-"""Stamps beyond are times of day [s]."""
 COPIED = 1e-6
 """Relative spread of the ratio of two channels up to which one is a copy of the other: rounding."""
 FAR = 100.0
@@ -156,16 +155,6 @@ def _mixed_up(recording: Recording, nominal: Nominal) -> str:
         if distinct and all(1.0 / FAR < ratio < FAR for ratio in crossed):
             return f"{RESISTANCE} and {TIP_DEFLECTION} are swapped: each has the values of the other"
     return ""
-
-
-def stamp_in_words(stamp_s: float) -> str:
-    """Return a stamp with its unit; of a time of day the milliseconds too, which are behind the tenth digit.
-
-    Parameters
-    ----------
-    stamp_s : [s]
-    """
-    return f"{stamp_s:.3f} s" if abs(stamp_s) > _OF_DAY_S else f"{stamp_s:.6g} s"
 
 
 def _clock(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:

@@ -12,7 +12,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.optimize import minimize_scalar
 
 from vo2_models.diagnosis.breakdown import one_loop
-from vo2_models.diagnosis.check import SHORTEST, Finding, Unusable, check_recording, stamp_in_words
+from vo2_models.diagnosis.check import SHORTEST, Finding, Unusable, check_recording
 from vo2_models.diagnosis.consistency import check_consistency
 from vo2_models.diagnosis.evident import Evident, evident_effects, untold_steps, without_lines
 from vo2_models.diagnosis.limits import Limits
@@ -31,6 +31,7 @@ from vo2_models.diagnosis.part import Part, prepare
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.identification.steepness import unevenness
 from vo2_models.recording import HEATER_CURRENT, Recording, aligned
+from vo2_models.units import stamp_in_words
 
 __all__ = ["Reading", "read"]
 
