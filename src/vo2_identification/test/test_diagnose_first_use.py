@@ -82,3 +82,16 @@ def test_the_command_takes_the_calibration_bag(known, tmp_path, capsys) -> None:
     assert status == 2
     # both are read, and the one that cannot be used is named
     assert f"{tmp_path / 'short'}: found 40 samples" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_laser_that_was_on_for_a_while_in_both_is_no_room_that_drifts() -> None:
+    laser = {"laser_heating": {"rise": 1.0, "start": 0.8, "stop": 2.0}}
+    recording = measured(calibration(SEED, DEVICE, laser, samples=6000))
+    parameters = fit_model([recording], DEVICE, plays=12, self_sensing=False)[1]
+    answer = assemble_diagnosis(
+        study([concealed(laser, seed=21, samples=3000)], parameters, calibration=[recording])
+    )
+    (effect,) = answer.effects
+    assert effect.id == "laser_heating"
+    assert effect.parameters["stop"].value == pytest.approx(2.0, abs=0.05)

@@ -375,6 +375,21 @@ def test_when_it_was_on_is_asked_of_the_residual_at_hand() -> None:
     assert windowed(late, other, left[1]) is other
 
 
+def test_when_it_was_on_is_asked_of_several_recordings_together() -> None:
+    """At first use the calibration is one of them; each is timed from its own start."""
+    nominal, parts = replace(_model(), noise={RESISTANCE: NoiseModel(1e-3)}), []
+    laser = {"laser_heating": {"rise": 0.8, "start": 0.4, "stop": 1.1}}
+    for size, begin in ((3000, 0.0), (2200, 50.0)):
+        shown = nominal.respond(_drive(size), 1e-3, effects=laser).channels[RESISTANCE]
+        channels = {HEATER_CURRENT: _drive(size), RESISTANCE: 10.0**shown}
+        parts.append(prepare(Recording(begin + 1e-3 * np.arange(size), channels, "integrated"), nominal))
+    problem = linearise_problem(nominal, parts)
+    left = problem.apply_inverse_covariance(problem.residual)
+    hypothesis = next(h for h in hypotheses(problem, "integrated", left) if h.record.id == "laser_heating")
+    windows = {(s["start"], s["stop"]) for s in hypothesis.starts if "start" in s}
+    assert any(abs(on - 0.4) < 0.15 and abs(off - 1.1) < 0.15 for on, off in windows)
+
+
 def _changed(changes: dict[str, dict[str, float | str]], size: int = 3000, ar: tuple[float, ...] = ()):
     """The problem of a device on which effects act, taken to have noise of one colour in the resistance."""
     nominal, current, dt = replace(_model(), noise={RESISTANCE: NoiseModel(1e-3, ar)}), _drive(size), 1e-3

@@ -19,7 +19,7 @@ from vo2_models.diagnosis.hypotheses import Hypothesis
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import Located
 from vo2_models.diagnosis.moved_alone import moved_alone
-from vo2_models.diagnosis.next_experiment import by_hand, propose
+from vo2_models.diagnosis.next_experiment import by_hand, propose, without_explanation
 from vo2_models.diagnosis.nonparametric_correction import (
     NonparametricCorrection,
     fit_nonparametric_correction,
@@ -279,6 +279,9 @@ def _unnamed(
         far = {c: judged.before[c] / judged.floor[c] for c in located.own_misfit}
         taken_up = {c: ratio for c, ratio in far.items() if ratio > limits.as_it_is}
         verdict_word = "differs" if taken_up else verdict_word
+    if verdict_word == "differs":
+        best = verdict.rivals[0].hypotheses if verdict.rivals else ()
+        proposal = without_explanation(unnamed.shapes if unnamed else (), best)
     return Decision(
         verdict=verdict_word, final=problem, chosen=None, judged=verdict.judged, rivals=verdict.rivals,
         remaining_excess=verdict.remaining, unnamed=unnamed, breakdown=where, rival_pairs=(), proposal=proposal,

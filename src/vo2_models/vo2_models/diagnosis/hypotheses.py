@@ -323,12 +323,10 @@ def _windows(
     """Times of switching on and off that explain most, best first; none where being on all the time does as well.
 
     What was switched leaves a memory: the effect of a window is the difference of two effects that stay on, one from the
-    begin and one from the end of it. Only for a single recording: times are told from its start.
+    begin and one from the end of it. Times are told from the start of each recording, and are the same in all of them.
     """
-    if len(problem.parts) != 1:
-        return []
-    part = problem.parts[0]
-    times = np.linspace(0.0, part.size * part.dt, pieces + 1)[:-1]
+    length = max(part.size * part.dt for part in problem.parts)
+    times = np.linspace(0.0, length, pieces + 1)[:-1]
     given: dict[str, float | str] = {**start, **({"signal": signal} if signal else {})}
     key = f"{record.id}:{signal}" if signal else record.id
     lasting = np.column_stack(problem.deviations([{key: {**given, names[0]: float(t)}} for t in times]))

@@ -19,16 +19,27 @@ from vo2_models.diagnosis.explain import Explanation
 from vo2_models.diagnosis.hypotheses import Hypothesis
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nominal import Nominal
+from vo2_models.diagnosis.nonparametric_correction import Shape
 from vo2_models.diagnosis.part import Part
 from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
 from vo2_models.diagnosis.result import NextExperiment
 from vo2_models.identification.excitation import chirp, first_order_reversal_fan, random_levels
 
-__all__ = ["Excitable", "by_hand", "library", "propose"]
+__all__ = ["Excitable", "by_hand", "library", "propose", "without_explanation"]
 
 Floats = NDArray[np.float64]
 SAMPLES = 5000
 """Length of a proposed experiment."""
+REPEAT = "play the same drive again, at another hour: what follows the clock or the room changes, what is the device's returns"
+RATES = "play the same drive at half and at twice its speed: what follows the rate changes, what belongs to the loop stays"
+LOOPS = "play small loops about several levels, each many times, and the whole loop in between: reversals and wear change them"
+LEVELS = "go to a dozen levels from below and above and hold each: what belongs to a temperature is there while nothing moves"
+TO_SEE = {
+    "time": REPEAT, "tone": REPEAT, "felt temperature": REPEAT, "felt tone": REPEAT, "time and temperature": REPEAT,
+    "time and value": REPEAT, "rate": RATES, "lagged drive": RATES, "current": RATES, "reversals": LOOPS,
+    "travel": LOOPS, "branch": LOOPS, "value": LEVELS, "temperature": LEVELS,
+}  # fmt: skip
+"""What a correction without a name depends on -> what to record to see whether it does."""
 
 
 @dataclass(frozen=True)
@@ -215,6 +226,29 @@ def by_hand(mimics: Sequence[Hypothesis]) -> NextExperiment | None:
         kind="manual",
         excitation=None,
         instruction=f"Change by hand what only the effect feels while recording. {needs}.",
+    )
+
+
+def without_explanation(shapes: Sequence[Shape], likeliest: Sequence[Hypothesis]) -> NextExperiment:
+    """Return what to record where nothing known explains an excess: what shows whether it follows what it seems to follow.
+
+    Parameters
+    ----------
+    shapes : groups of functions that a correction without a name uses, most important first; none where it predicts nothing
+    likeliest : effects of the best explanation that is not adequate; none where there is none
+    """
+    groups = dict.fromkeys(shape.group for shape in shapes)
+    steps = list(dict.fromkeys([*(TO_SEE[group] for group in groups), REPEAT]))[:2]
+    seems = (
+        f"What is left follows {shapes[0].words}" if shapes else "What is left follows nothing that was tried"
+    )
+    name = likeliest[0].record.id if likeliest else "unknown"
+    return NextExperiment(
+        why=f"{seems}, and no known explanation is near enough to design an experiment for.",
+        separates=["unknown", name],
+        kind="manual",
+        excitation=None,
+        instruction=f"Record again, and give all bags to `diagnose`: {'; then '.join(steps)}.",
     )
 
 

@@ -356,17 +356,10 @@ def _gain(study: Study, diagnosis: Diagnosis) -> str:
 def _next(diagnosis: Diagnosis) -> str:
     proposal = diagnosis.next_experiment
     if proposal is None:
-        return section("What to record next", paragraph(_nothing_next(diagnosis)))
-    return section("What to record next", paragraph(proposal.why), paragraph(proposal.instruction))
-
-
-def _nothing_next(diagnosis: Diagnosis) -> str:
-    if any(e.id == "unknown" for e in diagnosis.effects):
-        return (
-            "No known explanation is near enough to design an experiment for. Repeat the recording to see whether the "
-            "difference comes back, then slower or faster, and with smaller steps: what it follows tells what it is."
+        return section(
+            "What to record next", paragraph("Nothing: no two explanations are left to tell apart.")
         )
-    return "Nothing: no two explanations are left to tell apart."
+    return section("What to record next", paragraph(proposal.why), paragraph(proposal.instruction))
 
 
 def _data(study: Study, diagnosis: Diagnosis) -> str:

@@ -875,21 +875,25 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
             "and none of them surely: nothing is named and no constant told."
         )
     # as `location` has it, whose shares are of energy; of a short channel the power may be higher. A channel that constants
-    # have taken below its noise is none in which anything differs
+    # have taken below its noise is none in which anything differs. At first use the refitted device has taken up most of it, in
+    # any channel: where the effect acts is where they differ
+    acts = study.reading.first_use and decision.chosen is not None
     energy = {
-        b.channel: b.excess for b in decision.breakdown if b.excess > 0.0 and excess.get(b.channel, 0.0) > 0.0
+        b.channel: b.excess
+        for b in decision.breakdown
+        if b.excess > 0.0 and (acts or excess.get(b.channel, 0.0) > 0.0)
     } or excess
-    if study.reading.first_use and decision.chosen is not None:
-        # the refitted device has taken up most of it, in any channel: where the effect acts is where they differ
-        energy = dict.fromkeys(excess, 0.0)
-        for row in decision.final.rows:
-            energy[row.channel] += float(np.sum(decision.chosen.deviation[row.where] ** 2))
     where = max(energy, key=lambda c: energy[c])
     family = effects[0].family
     head = (
         f"Simulation and recording differ, most in {where} ({1 + excess[where]:.3g} times the power of {_floor(study)}, after "
         "a refit of what another day may move)."
     )
+    if acts:
+        head = (
+            f"Simulation and recording differ, most in {where} (fitted to all of them the nominal device leaves "
+            f"{1 + excess.get(where, 0.0):.3g} times the power of {_floor(study)}, which may hold a part of what is left out)."
+        )
     if decision.held is not None:
         head = "Simulation and recording differ: an effect explains with none moved what constants would have to move for."
     lead = (
