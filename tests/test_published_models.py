@@ -17,7 +17,7 @@ from vo2_studies.published_models import OPERATING, SURROGATE, main, printed_def
 
 FOLDER = Path(__file__).parents[1] / "src" / "vo2_studies" / "config"
 MODELS = {"tables_7_1_and_7_2": ("plant", "estimator", "controller"), "table_6_3": ("plant", "estimator")}
-CONTROLLERS = ("pi_chapter_7", "pid_chapter_8", "hinf_chapter_8")
+CONTROLLERS = ("pi_chapter_7", "pid_chapter_8", "hinf_chapter_8", "robust_8_10")
 
 
 def _run(law, inputs):

@@ -21,6 +21,7 @@ from vo2_control.pid import (
     pid_controller,
     pid_from_parameters,
 )
+from vo2_control.zpk import ZPK_PARAMETERS, law_from_zpk
 
 if TYPE_CHECKING:
     from vo2_control.feedforward import InverseFeedforward
@@ -37,7 +38,7 @@ __all__ = [
     "reach",
 ]
 
-CONTROLLER_KINDS = ("pi", "pid", "hinf")
+CONTROLLER_KINDS = ("pi", "pid", "hinf", "zpk")
 
 DRIVE = 1e6
 """Most that a parameter takes, of any drive; the limits of the device are narrower, see `check_device_limits`."""
@@ -61,7 +62,7 @@ _OPERATING = Parameter(
     -DRIVE,
     DRIVE,
 )
-CONTROLLER_PARAMETERS = (*PID_PARAMETERS, *DESIGN_PARAMETERS, *LIMIT_PARAMETERS, _OPERATING)
+CONTROLLER_PARAMETERS = (*PID_PARAMETERS, *DESIGN_PARAMETERS, *ZPK_PARAMETERS, *LIMIT_PARAMETERS, _OPERATING)
 
 _PUBLISHED = {
     "pi": {
@@ -89,7 +90,7 @@ def design_controller(
     preset : device preset; gives gains and limits that `values` does not
     sample_period_s : [s]
     values : what was set of `CONTROLLER_PARAMETERS` and `model.*`; gains (`pid.*`, `hinf.*`) in it are used, else a model is
-        designed for; without both the published ones
+        designed for; without both the published ones. Of `zpk` its own only
 
     Raises
     ------
@@ -113,6 +114,9 @@ def design_controller(
 
             design = design_from_parameters(values)
             controller = robust_law(design, sample_period_s, expected_sign=_sign(preset)).controller(limits)
+    elif kind == "zpk":
+        law = law_from_zpk(values, sample_period_s, expected_sign=_sign(preset))
+        controller = LinearController(law, limits)
     else:
         gains = _gains(kind, preset, sample_period_s, limits, values)
         controller = pid_controller(gains, limits, sample_period_s)

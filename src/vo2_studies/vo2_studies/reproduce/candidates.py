@@ -67,7 +67,8 @@ def turned() -> tuple[Table, str]:
             values: dict[str, float | str] = {
                 key: sign * factor * high for key, (_, high) in record.magnitudes(DEVICE, signal).items()
             }
-            label = ", ".join(f"{key} {value:.3g}" for key, value in values.items())
+            units = {one.name: "" if one.unit == "1" else f" {one.unit}" for one in record.parameters}
+            label = ", ".join(f"{key} {value:.3g}{units[key]}" for key, value in values.items())
             given = {**values, "signal": signal} if signal else values
             attempt(f"{name} on {signal}" if signal else name, label, effects={name: given})
     attempt("labels of Table 8.1", "heating 21.7 s, cooling 27.8 s",

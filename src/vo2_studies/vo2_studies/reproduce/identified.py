@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from vo2_models.device.description import preset
 from vo2_models.device.model import DeviceModel
@@ -22,15 +24,25 @@ def damped_recording(device: Simulation, seed: int, *, level: int, hold: int, dt
     return device.simulate(np.repeat(levels, hold), dt=dt, seed=seed)
 
 
-def identify(device: Simulation, seed: int) -> tuple[DeviceModel, dict[str, Value]]:
+def identify(
+    device: Simulation, seed: int, *, plays: int | None = None, level: int | None = None
+) -> tuple[DeviceModel, dict[str, Value]]:
     """Return the model fitted to the device's noisy recording, and all its parameters with self-sensing.
 
     `integrated`: level 30, 10 ms each, at 1 kHz, as section 7.1.3; `peltier`: level 8, 60 s each, at 1 Hz.
+
+    Parameters
+    ----------
+    device, seed : what is recorded, and of its noise
+    plays : of each law of the model and of the composite scheme; None for the library's own
+    level : of the Preisach model; None for the library's own
     """
     if device.device == "integrated":
         recording, degree = damped_recording(device, seed, level=30, hold=10, dt=1e-3), 8
     else:
         recording, degree = damped_recording(device, seed, level=8, hold=60, dt=1.0), 9
-    model = fit_device([recording], device.device).model
+    fit = partial(fit_device, plays=plays) if plays else fit_device
+    model = fit([recording], device.device).model
     parameters = model.to_parameters()
-    return model, parameters | characterise(recording, parameters, degree=degree)
+    own = ({"composite_plays": plays} if plays else {}) | ({"level": level} if level else {})
+    return model, parameters | characterise(recording, parameters, degree=degree, **own)

@@ -29,6 +29,7 @@ __all__ = [
     "experiment",
     "merit",
     "reference",
+    "setpoint_errors",
 ]
 
 Floats = NDArray[np.float64]
@@ -171,6 +172,8 @@ class Merit:
     steady_um : mean over the setpoints of |mean error over the last 3 s|; NaN for the multi-sine
     effort_ma : standard deviation of the controller's current
     sensing_um : root mean square of estimate minus truth
+    felt_rmse_um, felt_steady_um : as `rmse_um` and `steady_um`, of reference minus self-sensed deflection
+    whole_rmse_um : as `rmse_um`, from the first sample on
     """
 
     rmse_um: float
@@ -178,6 +181,9 @@ class Merit:
     steady_um: float
     effort_ma: float
     sensing_um: float
+    felt_rmse_um: float = float("nan")
+    felt_steady_um: float = float("nan")
+    whole_rmse_um: float = float("nan")
 
 
 MERIT_WORDS = (
@@ -189,19 +195,31 @@ MERIT_WORDS = (
 )
 
 
+def setpoint_errors(error_um: Floats) -> Floats:
+    """Return |mean error over the last 3 s| of each of the three setpoints (3,) [um], from the errors (n,) of a run of steps."""
+    last = round(3 / PERIOD_S)
+    return np.asarray(np.abs(error_um.reshape(3, -1)[:, -last:].mean(axis=1)))
+
+
 def merit(kind: str, result: LoopResult) -> Merit:
     """Return the figures of merit of an experiment."""
     first = result.time_s.size // 20
     error = 1e6 * result.error_m
-    steady = np.nan
+    felt = 1e6 * (result.reference_m - result.estimate_m)
+    steady = felt_steady = np.nan
     if kind == "steps":
-        last = round(3 / PERIOD_S)
-        steady = float(np.mean(np.abs(error.reshape(3, -1)[:, -last:].mean(axis=1))))
-    sensing = 1e6 * (result.estimate_m - result.deflection_m)[first:]
+        steady, felt_steady = (float(setpoint_errors(e).mean()) for e in (error, felt))
     return Merit(
-        float(np.sqrt(np.mean(error[first:] ** 2))),
+        _rms(error[first:]),
         float(np.abs(error[first:]).max()),
         steady,
         float(1e3 * result.current_a[first:].std()),
-        float(np.sqrt(np.mean(sensing**2))),
+        _rms((error - felt)[first:]),
+        _rms(felt[first:]),
+        felt_steady,
+        _rms(error),
     )
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))

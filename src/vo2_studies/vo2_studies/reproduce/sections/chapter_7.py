@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from vo2_models.device import TruthDevice, truth
 from vo2_models.device.description import preset
 from vo2_models.device.simulation import TRUE_DEFLECTION
 from vo2_models.identification.excitation import random_levels
-from vo2_models.recording import RESISTANCE
+from vo2_models.recording import RESISTANCE, Recording
 from vo2_models.self_sensing import CompositeSelfSensing, PolynomialSelfSensing, SelfSensing, self_sensing
 
 from vo2_studies.reproduce.claims import (
@@ -75,6 +76,9 @@ _LARGEST_UM = {"composite": 2.88, "preisach": 4.55, "polynomial": 5.91}
 """Section 7.3.2."""
 _PRINTED_GAINS = PidGains(kp=1.4, ki=2.03e-5 * 1e6 * 1e3)
 _PRINTED = "K_p 1.4e-3, K_I 2.03e-5 have no units; read as mA/um and A/(um sample) at 1 kHz: as A/um the loop is unstable"
+_PLAYS, _LEVEL = 6, 10
+"""Section 7.3.1: plays of each law, level of the Preisach model."""
+_OWN_SIZES = "24 plays a law and Preisach level 40, where 7.3.1 has 6 and 10"
 _LIMIT_PERCENT = {"random": 0.6, "steps": 1.9, "sine": 1.2, "multi": 4.2}
 
 
@@ -93,7 +97,7 @@ class Device:
     """Errors of one device [um]: (experiment, scheme) -> mean absolute error; feedforward figures; traces.
 
     `loops` : the loop's own part, mean |reference - estimate|, which holds how far it hunts
-    `largest_um` : scheme -> largest error on the random levels
+    `sized_um` : scheme -> mean and largest error on the random levels, models of the printed sizes
     `printed_um` : (experiment, scheme) -> mean tracking error under the printed gains
     """
 
@@ -103,7 +107,7 @@ class Device:
     alone: float
     both: float
     traces: dict[tuple[str, str], Floats]
-    largest_um: dict[str, float]
+    sized_um: dict[str, tuple[float, float]]
     printed_um: dict[tuple[str, str], float]
 
 
@@ -117,14 +121,11 @@ def study(seed: int) -> Device:
     silent = pid_controller(PidGains(0.0, 0.0, coordinate=gains.coordinate), limits, PERIOD_S)
     levels = np.repeat(random_levels(*preset("integrated").operating_range, 400, seed=seed), 10)
     played = device.simulate(levels, seed=seed + 1)
-    errors, loops, traces, largest_um, printed_um = {}, {}, {}, {}, {}
+    errors, loops, traces, printed_um = {}, {}, {}, {}
     printed = pid_controller(_PRINTED_GAINS, limits, PERIOD_S)
     for name in SCHEMES:
         scheme = self_sensing(name, parameters)
-        estimate, _ = scheme.estimate(played[RESISTANCE])
-        error = 1e6 * (np.asarray(estimate.deflection) - played[TRUE_DEFLECTION])
-        errors["random", name] = float(np.mean(np.abs(error)))
-        largest_um[name] = float(np.abs(error).max())
+        errors["random", name] = _of_random(scheme, played)[0]
         for kind, wanted in references().items():
             tracked, own = _tracked(device, scheme, controller, wanted, seed)
             if name in ("composite", "preisach", "polynomial"):
@@ -134,6 +135,8 @@ def study(seed: int) -> Device:
             errors[kind, name] = float(np.mean(np.abs(error[wanted.size // 20 :])))
             loops[kind, name] = float(1e6 * np.mean(np.abs(own[wanted.size // 20 :])))
             traces[kind, name] = error[::10]
+    sized = identify(device, seed, plays=_PLAYS, level=_LEVEL)[1]
+    sized_um = {name: _of_random(self_sensing(name, sized), played) for name in _LARGEST_UM}
     wanted = references()["multi"]
     first = wanted.size // 20
     current, _ = feedforward_from_model(parameters, PERIOD_S).run(wanted)
@@ -153,9 +156,16 @@ def study(seed: int) -> Device:
         errors["multi", "composite"],
         float(1e6 * np.abs(both).mean()),
         traces,
-        largest_um,
+        sized_um,
         printed_um,
     )
+
+
+def _of_random(scheme: SelfSensing, played: Recording) -> tuple[float, float]:
+    """Mean and largest error of an estimate [um]."""
+    estimate, _ = scheme.estimate(played[RESISTANCE])
+    error = np.abs(1e6 * (np.asarray(estimate.deflection) - played[TRUE_DEFLECTION]))
+    return float(np.mean(error)), float(error.max())
 
 
 def _tracked(
@@ -176,12 +186,15 @@ def run(context: Context) -> Section:
     )
     claims = []
     basis = f"mean over {DEVICES} device seeds, each identified from its own noisy damped oscillation"
+    tracked = f"{basis}; {_OWN_SIZES}"
     for (kind, name), published in _PUBLISHED_UM.items():
+        if kind == "random":
+            continue
         values = np.array([device.errors[kind, name] for device in found])
         claims.append(
             Claim(f"{_SECTIONS[kind]}.{kind}_{name}", _SECTIONS[kind], f"{_WORDS[kind]}, {name}", published,
                   float(values.mean()), "um", _rule(name, published),
-                  f"{basis}; 95 % confidence +-{_half(values):.2f}, largest {values.max():.2f}")
+                  f"{tracked}; 95 % confidence +-{_half(values):.2f}, largest {values.max():.2f}")
         )  # fmt: skip
     percent = {
         (kind, name): np.array([device.errors[kind, name] for device in found]) * 1e-4 / RANGE_M
@@ -201,21 +214,15 @@ def run(context: Context) -> Section:
             name = "order" if (better, worse) == ("composite", "polynomial") else f"{better}_over_{worse}"
             theirs = None
             rule = _surely_below_one(_half(ratio))
-            if "combined" not in (better, worse):
+            if "combined" not in (better, worse) and kind != "random":
                 theirs = _PUBLISHED_UM[kind, better] / _PUBLISHED_UM[kind, worse]
-                rule = within_or_below(theirs, 0.1)
+                rule = _rule(better, theirs)
             claims.append(
                 Claim(f"{number}.{kind}_{name}", number, f"{_WORDS[kind]}: {better} over {worse}", theirs,
                       float(ratio.mean()), "1", rule,
-                      f"{basis}; 95 % confidence +-{_half(ratio):.2f}; below 1 on {np.sum(ratio < 1)} of {DEVICES}")
+                      f"{tracked}; 95 % confidence +-{_half(ratio):.2f}; below 1 on {np.sum(ratio < 1)} of {DEVICES}")
             )  # fmt: skip
-    for name, published in _LARGEST_UM.items():
-        values = np.array([device.largest_um[name] for device in found])
-        claims.append(
-            Claim(f"7.3.2.random_largest_{name}", "7.3.2", f"Largest estimation error on random levels, {name}", published,
-                  float(values.mean()), "um", _rule(name, published),
-                  f"{basis}; 95 % confidence +-{_half(values):.2f}, largest {values.max():.2f}")
-        )  # fmt: skip
+    claims += _of_printed_sizes(found, basis)
     for kind in ("steps", "sine", "multi"):
         for name in ("composite", "preisach", "polynomial"):
             values = np.array([device.printed_um[kind, name] for device in found])
@@ -224,7 +231,7 @@ def run(context: Context) -> Section:
                 Claim(f"{_SECTIONS[kind]}.{kind}_{name}_printed_gains", _SECTIONS[kind],
                       f"{_WORDS[kind]}, {name}, with the printed PI gains", published, float(values.mean()), "um",
                       _rule(name, published),
-                      f"{_PRINTED}; {basis}; 95 % confidence +-{_half(values):.2f}, largest {values.max():.2f}")
+                      f"{_PRINTED}; {tracked}; 95 % confidence +-{_half(values):.2f}, largest {values.max():.2f}")
             )  # fmt: skip
     largest, rms = np.array([device.open_loop for device in found]).T
     ratio = np.array([device.both / device.alone for device in found])
@@ -258,7 +265,10 @@ def run(context: Context) -> Section:
     bars = draw(f"Mean errors of {DEVICES} devices by scheme, with 95 % confidence of the mean.", comparison)
     figure = draw("Fig. 7.12 to 7.14: tracking errors of the first device.", errors, rows=3, height=2.0)
     remarks = (
-        "Composite is the scheme of section 7.2; combined, ours, is its weighted mean with the direct Preisach estimate.",
+        "Composite is the scheme of section 7.2; combined, ours, is its weighted mean with the direct Preisach estimate. On "
+        "random levels the published figures are compared with models of the printed sizes; all else is with the library's "
+        f"own, {_OWN_SIZES}. Laws are of the logarithm of the resistance, with a cubic polynomial besides; (7.3) is of the "
+        "resistance, without one.",
         "The PI acts on the self-sensed deflection; errors are of the true one, after the first 5 %. Its gains follow from "
         "each identified model (least simulated tracking error with Ms and Mt at most 1.6), in heating power.",
         *(
@@ -278,6 +288,35 @@ def run(context: Context) -> Section:
         "make the integral action hunt.",
     )
     return Section(NUMBER, TITLE, tuple(claims), (bars, figure), remarks)
+
+
+def _of_printed_sizes(found: Sequence[Device], basis: str) -> list[Claim]:
+    """Section 7.3.2 with models of the sizes that it has."""
+    basis = f"6 plays a law, Preisach level 10, polynomial of degree 8; {basis}"
+    mean = {name: np.array([device.sized_um[name][0] for device in found]) for name in _LARGEST_UM}
+    most = {name: np.array([device.sized_um[name][1] for device in found]) for name in _LARGEST_UM}
+    claims = []
+    for name, largest in _LARGEST_UM.items():
+        for identity, words, published, values in (
+            (name, _WORDS["random"], _PUBLISHED_UM["random", name], mean[name]),
+            (f"largest_{name}", "Largest estimation error on random levels", largest, most[name]),
+        ):
+            claims.append(
+                Claim(f"7.3.2.random_{identity}", "7.3.2", f"{words}, {name}", published, float(values.mean()), "um",
+                      _rule(name, published),
+                      f"{basis}; 95 % confidence +-{_half(values):.2f}, largest {values.max():.2f}")
+            )  # fmt: skip
+    for better, worse in _ORDER:
+        if "combined" in (better, worse):
+            continue
+        ratio = mean[better] / mean[worse]
+        theirs = _PUBLISHED_UM["random", better] / _PUBLISHED_UM["random", worse]
+        claims.append(
+            Claim(f"7.3.2.random_sized_{better}_over_{worse}", "7.3.2", f"{_WORDS['random']}: {better} over {worse}", theirs,
+                  float(ratio.mean()), "1", _rule(better, theirs),
+                  f"{basis}; 95 % confidence +-{_half(ratio):.2f}; below 1 on {np.sum(ratio < 1)} of {ratio.size}")
+        )  # fmt: skip
+    return claims
 
 
 def _rule(scheme: str, published: float) -> Rule:
