@@ -1,13 +1,19 @@
 """`compress`: a model file in, a smaller one out that the estimator loads; bad input in one line."""
 
+import re
+
 import numpy as np
 import pytest
 from vo2_identification.compress import main
 from vo2_models.device.model import DeviceModel
 from vo2_models.hysteresis import PlayBank, PreisachOperator
+from vo2_models.hysteresis.compress_model import compress_plays_of
 from vo2_models.model_file import load_model_parameters, save_model_parameters
 from vo2_models.self_sensing.direct_preisach import DirectPreisachSelfSensing
+from vo2_models.self_sensing.records import BOUND_KNOTS
 from vo2_models.self_sensing.scheme import self_sensing
+
+import vo2_models as vo2
 
 TEMPERATURE = np.interp(
     np.arange(0, 12, 0.01), np.arange(13), [25, 95, 25, 85, 40, 80, 45, 75, 50, 70, 55, 90, 25]
@@ -48,12 +54,12 @@ def test_fewer_plays_load_into_the_plant_and_stay_near(model, tmp_path, capsys):
     path, resistance, deflection = model
     assert main(["--model", str(path), "--output", str(tmp_path / "small.yaml"), "--plays", "4"]) == 0
     said = capsys.readouterr().out
-    assert "model.resistance: 8 plays to 4, output changed by at most" in said
+    assert re.search(r"model.resistance: 8 plays to [1-4], output changed by at most", said)
     assert "model.deflection: 6 plays to 4" in said
     small = DeviceModel.load(tmp_path / "small.yaml")
     for section, wanted in (("resistance", -np.log10(resistance)), ("deflection", deflection)):
         law = getattr(small, section)
-        assert np.size(law.weights) == 4
+        assert 1 <= np.size(law.weights) <= 4
         assert np.max(np.abs(law.run(TEMPERATURE) - wanted)) < 0.05 * np.ptp(wanted)
     # deviations of parameters that are gone are gone, the others stay
     assert set(small.uncertainty) == {"thermal.time_constant"}
@@ -158,3 +164,37 @@ def test_missing_files_and_laws_are_named(tmp_path, capsys):
             == 2
         )
         assert what in capsys.readouterr().err
+
+
+def test_bounds_of_a_compressed_model_hold_as_often(tmp_path):
+    """On random levels, where the bounds of the model as it was would hold in half of the samples."""
+    current = 3.68e-3 + 4.81e-3 * np.repeat(vo2.damped_oscillation(np.linspace(0.0, 1.0, 13)), 10)
+    whole = vo2.fit(vo2.simulate("integrated", current, seed=1), "integrated")
+    save_model_parameters(tmp_path / "model.yaml", whole)
+    levels = np.repeat(np.random.default_rng(1).uniform(size=300), 5)
+    fresh = vo2.simulate("integrated", 3.68e-3 + 4.81e-3 * levels, seed=91)
+    for plays in (10, 6):
+        small = tmp_path / f"{plays}.yaml"
+        assert (
+            main(["--model", str(tmp_path / "model.yaml"), "--plays", str(plays), "--output", str(small)])
+            == 0
+        )
+        found = vo2.estimate(load_model_parameters(small), fresh["film_resistance"])
+        error = np.abs(found.deflection - fresh["true_tip_deflection"])
+        assert np.mean(error > found.bound) < 0.05
+        before = whole["model.self_sensing.bounds.composite"]
+        old = np.interp(np.log10(fresh["film_resistance"]), whole[BOUND_KNOTS], before)
+        assert np.mean(error > old) > 0.2
+        after = load_model_parameters(small)["model.self_sensing.bounds.composite"]
+        assert np.all(np.asarray(after) >= np.asarray(before))
+
+
+def test_no_more_plays_than_come_nearer():
+    """A fit of eleven plays that ends farther off than one of eight is not what is written."""
+    bank = _bank(12, 0.1, [-4.7, 0.001])
+    errors = []
+    for plays in (11, 8, 5):
+        _, (change,) = compress_plays_of(bank.to_parameters("model.resistance"), plays)
+        assert 1 <= change.after <= plays
+        errors.append(change.error)
+    assert errors[0] <= 1.05 * min(errors)

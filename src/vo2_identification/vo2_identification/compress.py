@@ -16,7 +16,7 @@ _MARK = "compressed by `compress`"
 _DESCRIPTION = """
 Compress the hysteresis laws of a model file, so that a small processor can follow them: --plays merges the plays of
 every bank that has more (chapter 3), --levels the cells of every Preisach grid that is finer (chapter 2). The result
-loads into estimator, plant and controller like any other model file.
+loads into estimator, plant and controller like any other model file; its error bounds are wider by what was changed.
 """
 
 
@@ -30,6 +30,7 @@ def main(args: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(args)
     from vo2_models.hysteresis.compress_model import compress_levels, compress_plays_of
     from vo2_models.model_file import check_model_place, load_model_parameters, save_model_parameters
+    from vo2_models.self_sensing.compressed import bounds_after
 
     try:
         check_model_place(options.output, _MARK)
@@ -41,9 +42,11 @@ def main(args: Sequence[str] | None = None) -> int:
             what = "levels"
             found, changes = compress_levels(values, options.levels)
         lines = [
-            f"{c.section}: {c.before} {what} to {c.after}, output changed by at most {100 * c.error:.2g} % of its range"
+            f"{c.section}: {c.before} {what} to {c.after}, output changed by at most {100 * c.error:.2g} % of its range "
+            "on a damped oscillation"
             for c in changes
         ]
+        found |= bounds_after(values, found)
         save_model_parameters(options.output, found, comment="\n".join([_MARK, *lines]))
     except ValueError as error:
         return refuse("compress", error)

@@ -10,7 +10,9 @@ from vo2_models.hysteresis.laws.bounded_plays import BoundedPlays, fit_bounded_p
 from vo2_models.hysteresis.limiting_loop import LimitingLoop
 
 
-@pytest.mark.parametrize(("sigma", "n"), [(0.5, 1.0), (0.9, 1.0), (1.4, 2.3)])
+@pytest.mark.parametrize(
+    ("sigma", "n"), [(0.5, 1.0), (0.9, 1.0), (1.4, 2.3), (20.0, 2.0), (12.0, 1.0), (5.0, 6.0), (10.0, 20.0)]
+)
 def test_bouc_wen_is_its_differential_equation(sigma, n):
     """The original form: dz = A du - beta |du| |z|^(n-1) z - gamma du |z|^n, with z = w and A = rho."""
     law = BoucWen(2.0, sigma, n, 3.0, [0.5, 0.2])
@@ -28,11 +30,22 @@ def test_bouc_wen_is_its_differential_equation(sigma, n):
         assert law.step(now, memory) == pytest.approx(3.0 * w + 0.5 + 0.2 * now, abs=2e-6)
 
 
-def test_bouc_wen_does_not_depend_on_the_sampling():
-    law = BoucWen(3.0, 0.7, 1.5)
+@pytest.mark.parametrize(("sigma", "n"), [(0.7, 1.5), (20.0, 1.2), (50.0, 2.0), (50.0, 1.0), (8.0, 20.0)])
+def test_bouc_wen_does_not_depend_on_the_sampling(sigma, n):
+    law = BoucWen(3.0, sigma, n)
     turns = np.random.default_rng(11).uniform(-2.0, 2.0, 20)
-    fine = np.interp(np.linspace(0, 19, 19 * 37 + 1), np.arange(20), turns)
-    assert law.run(fine)[::37] == pytest.approx(law.run(turns), abs=1e-6)
+    # and moves that end on the way to 0
+    turns = np.concatenate([turns, turns[-1] + np.array([0.0, 0.02, 0.03, 0.01, 0.05])])
+    count = turns.size - 1
+    fine = np.interp(np.linspace(0, count, count * 137 + 1), np.arange(count + 1), turns)
+    assert law.run(fine)[::137] == pytest.approx(law.run(turns), abs=2e-6)
+
+
+def test_the_way_back_of_bouc_wen_is_a_tangent_for_n_2():
+    """dw / d(rho u) = 1 + k^2 w^2 with k^2 = 2 sigma - 1, from w = -1 on."""
+    k = np.sqrt(39.0)
+    expected = -np.tan(np.arctan(k) - 0.15 * k) / k
+    assert BoucWen(1.0, 20.0, 2.0).step(0.15, np.array([0.0, -1.0])) == pytest.approx(expected, abs=1e-7)
 
 
 def plain_limiting_loop(path, beta, width, centre, gamma):

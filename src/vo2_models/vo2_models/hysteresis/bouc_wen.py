@@ -21,7 +21,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vo2_models.hysteresis.law import Law, Saturation
+from vo2_models.hysteresis.law import Law, Saturation, side_of
 from vo2_models.numerics.kernel import kernel
 from vo2_models.validation import finite_array, positive_number
 
@@ -30,7 +30,10 @@ __all__ = ["BoucWen", "move_bouc_wen"]
 Floats = NDArray[np.float64]
 
 STEP = 0.04
-"""Longest step of rho u of the fourth-order integration: its error stays below 1e-6 of the amplitude."""
+"""Longest step of rho u of the fourth-order integration. It is shorter where the slope changes sooner, as the slope and n say:
+the error stays below 2e-6 of the amplitude for sigma up to 50 and n up to 20."""
+NEWTON = 4
+"""Iterations for the place that a way ends at; each doubles the digits."""
 SATURATED = 1e-14
 """Distance of |w| from 1 at which it stays there."""
 
@@ -44,6 +47,15 @@ def _slope(w, direction, sigma, n):
     """dw / d(rho u) for a move in the given direction."""
     turn = sigma if w * direction > 0.0 else -sigma
     return 1.0 - abs(w) ** n * (1.0 - sigma + turn)
+
+
+@kernel(inline="always")
+def _way(w, to, direction, sigma, n):
+    """Way in rho u from w to another value on the same side of 0: the integral of 1 / slope."""
+    way = 0.0
+    for j in range(5):
+        way += _WEIGHTS[j] / _slope(w + (to - w) * _NODES[j], direction, sigma, n)
+    return way * abs(to - w)
 
 
 @kernel
@@ -64,21 +76,27 @@ def move_bouc_wen(u, packed, memory, make):
         if w * direction > 0.0 and 1.0 - abs(w) < SATURATED:
             w = direction
             break
-        h = min(left, STEP)
-        step = direction * h
         k1 = _slope(w, direction, sigma, n)
+        stiff = max(k1, 1.0)
+        if w * direction < 0.0:
+            stiff = max(stiff, (2.0 * sigma - 1.0) * abs(w) ** (n - 1.0))
+        h = min(left, STEP / max(1.0, 0.5 * n * stiff))
+        step = direction * h
         if w * direction < 0.0 and abs(w) <= 1.5 * h * k1:
             # the slope has a corner at w = 0: the way there comes from the integral of 1 / slope
-            way = 0.0
-            for j in range(5):
-                way += _WEIGHTS[j] / _slope(w * (1.0 - _NODES[j]), direction, sigma, n)
-            way *= abs(w)
-            if way <= left:
+            if _way(w, 0.0, direction, sigma, n) <= left:
+                left -= _way(w, 0.0, direction, sigma, n)
                 w = 0.0
-                left -= way
                 continue
-            h = left
-            step = direction * h
+            # and so does the place where it ends before
+            to = w + direction * left * k1
+            if to * direction > 0.0:
+                to = 0.0
+            for _ in range(NEWTON):
+                to += direction * (left - _way(w, to, direction, sigma, n)) * _slope(to, direction, sigma, n)
+                to = min(max(to, -1.0), 1.0)
+            w = to
+            break
         k2 = _slope(w + 0.5 * step * k1, direction, sigma, n)
         k3 = _slope(w + 0.5 * step * k2, direction, sigma, n)
         k4 = _slope(w + step * k3, direction, sigma, n)
@@ -166,5 +184,5 @@ class BoucWen(Law):
 
     def initial_memory(self, saturation: Saturation = "lower") -> Floats:
         """Return the memory after a way down ("lower") or up ("upper") without end."""
-        side = -1.0 if saturation == "lower" else 1.0
+        side = side_of(saturation)
         return np.array([side * np.inf, side])

@@ -53,8 +53,10 @@ class Change:
 def compress_plays_of(values: Mapping[str, Value], plays: int) -> tuple[dict[str, Value], tuple[Change, ...]]:
     """Return the parameters of a model file with at most `plays` plays in each bank, and what was changed.
 
+    Error bounds of self-sensing are those of the laws as they were, and left out: see `self_sensing.compressed.bounds_after`.
     A bank with one pair of envelopes is compressed by the entropy-optimal partition (3.9). Where each play has its own
-    pair that partition does not exist; then as many plays are fitted to the bank's own output.
+    pair that partition does not exist; then as many plays are fitted to the bank's own output, or fewer where these
+    come nearer.
 
     Parameters
     ----------
@@ -85,12 +87,14 @@ def compress_plays_of(values: Mapping[str, Value], plays: int) -> tuple[dict[str
         except ValueError as problem:
             raise ValueError(f"{section}.{problem}") from problem
         found |= smaller.to_parameters(section)
-        changes.append(Change(section, count, plays, error))
-    return _without_uncertainty(found, changes), tuple(changes)
+        changes.append(Change(section, count, np.size(smaller.weights), error))
+    return _without_what_was_measured(found, changes), tuple(changes)
 
 
 def compress_levels(values: Mapping[str, Value], level: int) -> tuple[dict[str, Value], tuple[Change, ...]]:
     """Return the parameters of a model file with Preisach grids of the level, least loss first (2.4), and what was changed.
+
+    Error bounds of self-sensing are left out, as by `compress_plays_of`.
 
     Parameters
     ----------
@@ -140,7 +144,7 @@ def compress_levels(values: Mapping[str, Value], level: int) -> tuple[dict[str, 
             masses if kind == "weights" else masses / pack(cell_areas(coarse.walls))
         ).tolist()
         changes.append(Change(section, before, level, error))
-    return _without_uncertainty(found, changes), tuple(changes)
+    return _without_what_was_measured(found, changes), tuple(changes)
 
 
 def _fewer(bank: PlayBank, plays: int) -> tuple[PlayBank, float]:
@@ -163,9 +167,14 @@ def _fewer(bank: PlayBank, plays: int) -> tuple[PlayBank, float]:
     else:
         if np.any(np.asarray(bank.weights) < 0):
             raise ValueError(f"weights: found {np.min(bank.weights):g}, need weights >= 0 to compress")
-        smaller = fit_play_model(
-            path, wanted - smooth, plays=plays, per_play=plays > 1, initial="lower", max_evaluations=60
-        ).model
+        # a fit of more plays may end in a minimum that one of fewer does not have
+        fits = [
+            fit_play_model(
+                path, wanted - smooth, plays=count, per_play=count > 1, initial="lower", max_evaluations=60
+            ).model
+            for count in range(plays, max(plays // 2, 1) - 1, -1)
+        ]
+        smaller = min(fits, key=lambda model: float(np.sum((model.bank().run(path) - wanted + smooth) ** 2)))
     found = smaller.bank()
     polynomial = np.array(bank.polynomial, dtype=np.float64)
     polynomial[0] = smaller.bias
@@ -174,7 +183,10 @@ def _fewer(bank: PlayBank, plays: int) -> tuple[PlayBank, float]:
     return found, float(np.max(np.abs(change)) / max(float(np.ptp(wanted - smooth)), 1e-300))
 
 
-def _without_uncertainty(values: dict[str, Value], changes: list[Change]) -> dict[str, Value]:
-    """Standard deviations belong to the parameters that were fitted, not to those of a compression."""
-    stale = tuple(f"{_UNCERTAINTY}{c.section.removeprefix('model.')}." for c in changes)
+def _without_what_was_measured(values: dict[str, Value], changes: list[Change]) -> dict[str, Value]:
+    """Standard deviations and error bounds belong to the parameters that were fitted, not to those of a compression."""
+    stale = (
+        *(f"{_UNCERTAINTY}{c.section.removeprefix('model.')}." for c in changes),
+        *(["model.self_sensing.bounds."] if changes else []),
+    )
     return {name: value for name, value in values.items() if not (stale and name.startswith(stale))}

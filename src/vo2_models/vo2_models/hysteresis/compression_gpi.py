@@ -265,6 +265,11 @@ def merge(
 ) -> PlayModel:
     """Return the model with each group of a partition replaced by one play, as `compress` does for the optimal one.
 
+    Radii and weights are those of (3.1), on scaled weights if asked. The shift of the bias with scaled weights is not the
+    dissertation's, whose reduced model keeps the bias: scaled back, the weights no longer add up to the original total, and
+    the loop's centre would move by the difference times (gamma_R(v_max) + gamma_L(v_min)) / 2, which the bias takes up. It
+    is zero where the envelopes end at -1 and 1.
+
     Parameters
     ----------
     cuts : (M + 1,) increasing indices 0 = beta_0 < ... < beta_M = N, for instance those of uniform compression

@@ -26,7 +26,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vo2_models.hysteresis.law import Law, Saturation
+from vo2_models.hysteresis.law import Law, Saturation, side_of
 from vo2_models.numerics.kernel import kernel
 from vo2_models.validation import finite_array, nonnegative
 
@@ -184,6 +184,6 @@ class DomainEnsemble(Law):
 
     def initial_memory(self, saturation: Saturation = "lower") -> Floats:
         """Return the memory with all domains down ("lower") or up ("upper")."""
-        up = float(saturation == "upper")
+        up = 0.5 * (1.0 + side_of(saturation))
         far = np.inf if up else -np.inf
         return np.concatenate([[far, far, up], np.full(self.alpha.size, up)])

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from vo2_models.parameters import Value
 from vo2_models.validation import finite_array
 
-__all__ = ["Inverse", "Inversion", "Law", "LawInverse", "Saturation"]
+__all__ = ["Inverse", "Inversion", "Law", "LawInverse", "Saturation", "check_memory", "side_of"]
 
 Floats = NDArray[np.float64]
 Saturation = Literal["lower", "upper"]
@@ -187,10 +187,41 @@ class Law(ABC):
             raise ValueError(f"{section}.{error}") from error
 
     def _fits(self, memory: Floats) -> None:
+        check_memory(memory)
         if memory.shape != (self.memory_size,):
             raise ValueError(
                 f"memory: found shape {memory.shape}, need ({self.memory_size},) from initial_memory or settle"
             )
+
+
+def side_of(saturation: Saturation) -> float:
+    """Return -1 for lower saturation, 1 for upper.
+
+    Raises
+    ------
+    ValueError : another word.
+    """
+    if saturation not in ("lower", "upper"):
+        raise ValueError(f"saturation: found {saturation!r}, need 'lower' or 'upper'")
+    return -1.0 if saturation == "lower" else 1.0
+
+
+def check_memory(memory: Floats) -> None:
+    """Refuse a memory that a compiled step would not change in place, or not to the last digit.
+
+    Parameters
+    ----------
+    memory : of one or many devices
+
+    Raises
+    ------
+    ValueError : no array of float64 in the order of this machine, or one that cannot be written to.
+    """
+    if type(memory) is not np.ndarray or memory.dtype != np.float64:
+        found = f"{memory.dtype} array" if isinstance(memory, np.ndarray) else type(memory).__name__
+        raise ValueError(f"memory: found {found}, need an array of float64 from initial_memory or settle")
+    if not memory.flags.writeable:
+        raise ValueError("memory: found a read-only array, need one that a step may change: a copy")
 
 
 class LawInverse:
@@ -216,7 +247,9 @@ class LawInverse:
         self.law = law
         self.input_range = low, high
         ends = [law.peek(v, law.settle(v)) for v in (low, high)]
-        self._tolerance = REACHED * max(abs(ends[1] - ends[0]), np.finfo(float).tiny)
+        # from below both ends may lie in one saturation
+        span = [end for end in (*ends, *law.span) if np.isfinite(end)]
+        self._tolerance = REACHED * max(float(np.ptp(span)), np.finfo(float).tiny)
 
     def invert(self, output: float, memory: Floats) -> Inversion:
         """Return the input that a monotone move from the present one needs for the output; `memory` moves there.

@@ -26,7 +26,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vo2_models.hysteresis.law import Law, Saturation
+from vo2_models.hysteresis.law import Law, Saturation, side_of
 from vo2_models.numerics.kernel import kernel
 from vo2_models.validation import finite_array, positive_number
 
@@ -93,7 +93,8 @@ class LimitingLoop(Law):
     ----------
     rising_slope, falling_slope : a of the branches [1 / input unit], above 0
     rising_centre, falling_centre : c of the branches [input unit]; the falling one lies lower
-    gamma : of the proximity function, 0 to 1; above 1 the output would not be monotone
+    gamma : of the proximity function, 0 to 1. Near the published 0.956 the output rises with the input; above 1 it would not,
+        and below about 0.6 it falls on the way out of a turn (at 0 by more than twice the slope of the branch)
     lower, upper : output far below and far above [output unit]
     polynomial : coefficients of 1, u, u^2 ... of the memoryless part [output unit]
 
@@ -161,5 +162,4 @@ class LimitingLoop(Law):
 
     def initial_memory(self, saturation: Saturation = "lower") -> Floats:
         """Return the memory far below ("lower") or above ("upper") the loop."""
-        side = -1.0 if saturation == "lower" else 1.0
-        return side * np.array([np.inf, 1.0, np.inf, np.inf, np.inf])
+        return side_of(saturation) * np.array([np.inf, 1.0, np.inf, np.inf, np.inf])

@@ -58,7 +58,7 @@ class Zero:
 
 @dataclass(frozen=True)
 class Linear(_Checked):
-    """D(v) = slope_value * v, as in (7.4)'s c_2 i; a constant belongs into the model's `bias`."""
+    """D(v) = slope_value * v, as in (7.5)'s c_2 g(T); a constant belongs into the model's `bias`."""
 
     slope_value: float
 

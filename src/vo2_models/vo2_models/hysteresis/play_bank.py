@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vo2_models.hysteresis.law import Inverse, Law, Saturation
+from vo2_models.hysteresis.law import Inverse, Law, Saturation, side_of
 from vo2_models.hysteresis.layout import HEADER, TANH
 from vo2_models.numerics.kernel import kernel
 from vo2_models.parameters import Value
@@ -268,7 +268,7 @@ class PlayBank(Law):
 
     def initial_memory(self, saturation: Saturation = "lower") -> Floats:
         """Return the memory (memory_size,) far in saturation."""
-        side = -1.0 if saturation == "lower" else 1.0
+        side = side_of(saturation)
         return np.concatenate([[side * np.inf], side * (1.0 - np.asarray(self.radii))])
 
     def egpi(self) -> EGPI:

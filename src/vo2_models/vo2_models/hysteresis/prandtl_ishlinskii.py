@@ -28,8 +28,8 @@ __all__ = ["CPI", "EGPI", "GPI", "OrderWarning", "PlayModel"]
 FloatArray = NDArray[np.float64]
 Disorder = Literal["refuse", "warn", "accept"]
 
-ORDER_TOLERANCE = 1e-9
-"""How far, relative to the envelopes' spread, they may cross before it counts; far above rounding, far below use."""
+ORDER_TOLERANCE = 1e-7
+"""How far, relative to the envelopes' spread, they may cross before it counts: above what a fit leaves open, far below use."""
 _GRID = 257
 
 

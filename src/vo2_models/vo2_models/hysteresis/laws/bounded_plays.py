@@ -22,7 +22,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vo2_models.hysteresis.law import Law, Saturation
+from vo2_models.hysteresis.law import Law, Saturation, side_of
 from vo2_models.numerics.kernel import kernel
 from vo2_models.validation import finite_array, nonnegative, positive_number
 
@@ -149,7 +149,7 @@ class BoundedPlays(Law):
     def initial_memory(self, saturation: Saturation = "lower") -> Floats:
         """Return the memory (memory_size,) at or beyond an end of the input, come from the other."""
         radii = np.asarray(self.radii)
-        lower = saturation == "lower"
+        lower = side_of(saturation) < 0.0
         return np.concatenate([[-math.inf if lower else math.inf], radii if lower else 1.0 - radii])
 
 

@@ -9,8 +9,10 @@ State array: `[n, v, u, v_0, u_0, v_1, u_1, ...]`: the number of turning points,
 the grid) and output, then the turning points from the outermost inwards. Point 0 is the lowest wall
 (negative saturation); odd n means a rising leg, even n a falling one.
 
-A state has room for a fixed number of turning points. When it is full, the smallest loop inside the others is
-forgotten: with room for two turning points per wall that loop lies within one cell.
+A state has room for a fixed number of turning points. When it is full, two neighbouring ones are forgotten: those whose
+corner of the staircase in the plane of thresholds, the rectangle between them and their neighbours, has the shortest sides.
+With room for n points on a range R its area is at most (2 R / (n - 2))^2. Outputs at the points that are left stay exact, so
+that what is forgotten shows between two of them only.
 
 Operator arguments, in this order (`PreisachOperator.compiled`): `table` (L + 1, L + 1) from
 `grid.everett_table`, `walls` (L + 1,), `half` (L,) half the density of the diagonal triangles, `buckets`
@@ -138,12 +140,19 @@ def _leg_of(v, state, walls):
 
 @kernel
 def _forget_smallest(state, n):
-    """Take the smallest loop between neighbouring turning points out of the first n of them."""
+    """Take the smallest corner out of the first n turning points, to which the present input is the next one.
+
+    By its sides and not by its area: a long and narrow one that grows at every turn would be taken again and again.
+    """
     smallest = 1
-    for k in range(2, n - 1):
-        this = abs(state[HEADER + 2 * (k + 1)] - state[HEADER + 2 * k])
-        if this < abs(state[HEADER + 2 * (smallest + 1)] - state[HEADER + 2 * smallest]):
+    least = np.inf
+    for k in range(1, n - 1):
+        before, begin, end = state[HEADER + 2 * (k - 1)], state[HEADER + 2 * k], state[HEADER + 2 * (k + 1)]
+        after = state[HEADER + 2 * (k + 2)] if k + 2 < n else state[1]
+        sides = abs(end - before) + abs(after - begin)
+        if sides < least:
             smallest = k
+            least = sides
     for k in range(HEADER + 2 * smallest, HEADER + 2 * (n - 2)):
         state[k] = state[k + 4]
 

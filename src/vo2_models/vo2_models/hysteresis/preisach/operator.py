@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vo2_models.hysteresis.law import Inverse, Law, LawInverse, Saturation
+from vo2_models.hysteresis.law import Inverse, Law, LawInverse, Saturation, check_memory, side_of
 from vo2_models.hysteresis.preisach import kernels
 from vo2_models.hysteresis.preisach.grid import (
     Diagonal,
@@ -26,8 +26,8 @@ __all__ = ["PreisachOperator"]
 
 Floats = NDArray[np.float64]
 
-FEWEST_TURNING_POINTS = 30
-"""Room of the memory on a coarse grid; on a fine one there is room for two turning points per wall."""
+FEWEST_TURNING_POINTS = 200
+"""Room of the memory on a coarse grid: a demagnetisation of a hundred cycles. On a fine one it is four per wall."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,7 @@ class PreisachOperator(Law):
     @property
     def memory_size(self) -> int:
         """Length of the memory of one device."""
-        return kernels.HEADER + 2 * max(FEWEST_TURNING_POINTS, 2 * (self.level + 1))
+        return kernels.HEADER + 2 * max(FEWEST_TURNING_POINTS, 4 * (self.level + 1))
 
     def initial_memory(self, saturation: Saturation = "lower", *, devices: int | None = None) -> Floats:
         """Return the memory below ("lower") or above ("upper") the grid, (memory_size,) or (devices, memory_size).
@@ -165,13 +165,12 @@ class PreisachOperator(Law):
         ------
         ValueError : another `saturation`, or `devices` below 1.
         """
-        if saturation not in ("lower", "upper"):
-            raise ValueError(f"saturation: found {saturation!r}, need 'lower' or 'upper'")
+        side = side_of(saturation)
         if devices is not None and devices < 1:
             raise ValueError(f"devices: found {devices}, need at least 1")
         row = np.zeros(self.memory_size)
         row[:5] = 1.0, self.walls[0], self.output_range[0], self.walls[0], self.output_range[0]
-        if saturation == "upper":
+        if side > 0.0:
             kernels.step(self.walls[-1], row, *self.compiled)
         return row if devices is None else np.tile(row, (devices, 1))
 
@@ -227,6 +226,7 @@ class PreisachOperator(Law):
         values = finite_array(u, "u", ndim=(1, 2))
         devices = None if values.ndim == 1 else values.shape[0]
         state = self.initial_memory(devices=devices) if memory is None else memory
+        check_memory(state)
         if state.shape != (*values.shape[:-1], self.memory_size):
             raise ValueError(
                 f"memory: found shape {state.shape}, need {(*values.shape[:-1], self.memory_size)} for these inputs"
