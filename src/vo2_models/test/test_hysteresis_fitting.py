@@ -160,6 +160,47 @@ def test_the_values_named_are_those_of_the_model():
     assert fit.covariance.shape == (len(fit.names), len(fit.names))
 
 
+@pytest.mark.parametrize(
+    ("memoryless", "kind"),
+    [("linear", "polynomial"), ("cubic", "polynomial"), ("tanh", "tanh"), ("sine", "sine")],
+)
+def test_values_of_the_memoryless_part_are_those_of_the_model(memoryless, kind):
+    fit = fit_play_model(TEMPERATURE, record(noise=1e-3) + 0.02 * TEMPERATURE, plays=4, memoryless=memoryless)
+    named = dict(zip(fit.names, fit.values, strict=True))
+    part = fit.model.memoryless
+    numbers = {
+        "polynomial": lambda: {
+            f"memoryless_coefficient[{k}]": c for k, c in enumerate(part.coefficients[1:])
+        },
+        "tanh": lambda: {
+            "memoryless_coefficient[0]": part.amplitude,
+            "memoryless_parameter[0]": part.gain,
+            "memoryless_parameter[1]": part.offset,
+        },
+        "sine": lambda: {
+            "memoryless_coefficient[0]": part.amplitude,
+            "memoryless_coefficient[1]": part.phase,
+            "memoryless_parameter[0]": part.frequency,
+        },
+    }[kind]()
+    assert {name for name in named if name.startswith("memoryless")} == set(numbers)
+    for name, value in numbers.items():
+        assert named[name] == pytest.approx(value, rel=1e-9, abs=1e-12)
+    assert named["bias"] == pytest.approx(fit.model.bias, rel=1e-9)
+
+
+def test_deviations_of_a_straight_line_beside_the_plays_cover_the_truth():
+    """Bias 5 and a slope of 0.02 per kelvin, over 24 noise realisations."""
+    scores = []
+    for seed in range(24):
+        y = record(noise=5e-3, seed=seed, v=TEMPERATURE[:600]) + 0.02 * TEMPERATURE[:600]
+        fit = fit_play_model(TEMPERATURE[:600], y, plays=6, memoryless="linear")
+        named = dict(zip(fit.names, zip(fit.values, fit.std, strict=True), strict=True))
+        for name, truth in (("bias", 5.0), ("memoryless_coefficient[0]", 0.02)):
+            scores.append((named[name][0] - truth) / named[name][1])
+    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.5
+
+
 SHORT = np.sin(np.linspace(0, 30, 60))
 
 

@@ -72,6 +72,30 @@ def test_stream_batch_and_peek_agree_and_a_peek_changes_nothing(name):
 
 
 @NAMES
+def test_a_misspelt_saturation_is_no_other_end(name):
+    with pytest.raises(ValueError, match=r"saturation: found 'Lower', need 'lower' or 'upper'"):
+        EXAMPLES[name].initial_memory("Lower")
+
+
+@NAMES
+def test_a_memory_that_a_step_cannot_change_is_refused(name):
+    law = EXAMPLES[name]
+    memory = law.settle(50.0)
+    fixed = memory.copy()
+    fixed.setflags(write=False)
+    for wrong, said in (
+        (np.zeros(law.memory_size, dtype=int), "found int64 array, need an array of float64"),
+        (memory.astype(np.float32), "found float32 array"),
+        (memory.astype(">f8"), "found >f8 array|found >?f.*array|found float64 array"),
+        (memory.tolist(), "found list, need an array of float64"),
+        (fixed, "found a read-only array, need one that a step may change"),
+    ):
+        for call in (lambda m: law.step(60.0, m), lambda m: law.run([60.0], m)):
+            with pytest.raises(ValueError, match=f"memory: ({said})"):
+                call(wrong)
+
+
+@NAMES
 def test_rate_independence(name):
     """Samples put in between the turning points change nothing."""
     law = EXAMPLES[name]

@@ -39,10 +39,15 @@ class Basis(Protocol):
     def derivatives(self, z: FloatArray, theta: FloatArray, coefficients: FloatArray) -> FloatArray:
         """d(phi c)/dtheta (n, len(theta))."""
 
+    def in_units(
+        self, coefficients: FloatArray, theta: FloatArray, centre: float, half: float
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """theta and coefficients of the part over the input v = centre + half z, and a constant that goes into the bias."""
+
     def physical(
         self, coefficients: FloatArray, theta: FloatArray, centre: float, half: float
     ) -> tuple[Memoryless, float]:
-        """The memoryless part of the input v = centre + half z, and a constant that goes into the bias."""
+        """The memoryless part of that input, and that constant."""
 
 
 @dataclass(frozen=True)
@@ -66,14 +71,21 @@ class PolynomialBasis:
     def derivatives(self, z: FloatArray, theta: FloatArray, coefficients: FloatArray) -> FloatArray:
         return np.zeros((z.size, 0))
 
+    def in_units(
+        self, coefficients: FloatArray, theta: FloatArray, centre: float, half: float
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Coefficients of v, v^2 ..."""
+        in_z = np.polynomial.Polynomial([0.0, *coefficients])
+        in_v = np.atleast_1d(in_z(np.polynomial.Polynomial([-centre / half, 1 / half])).coef)
+        return theta, np.pad(in_v[1:], (0, self.degree + 1 - in_v.size)), float(in_v[0])
+
     def physical(
         self, coefficients: FloatArray, theta: FloatArray, centre: float, half: float
     ) -> tuple[Memoryless, float]:
         if self.degree == 0:
             return Zero(), 0.0
-        in_z = np.polynomial.Polynomial([0.0, *coefficients])
-        in_v = np.atleast_1d(in_z(np.polynomial.Polynomial([-centre / half, 1 / half])).coef)
-        return Polynomial([0.0, *in_v[1:]]), float(in_v[0])
+        _, in_v, constant = self.in_units(coefficients, theta, centre, half)
+        return Polynomial([0.0, *in_v]), constant
 
 
 @dataclass(frozen=True)
@@ -97,11 +109,18 @@ class TanhBasis:
         steep = coefficients[0] / np.cosh(theta[0] * z + theta[1]) ** 2
         return np.stack([steep * z, steep], axis=1)
 
+    def in_units(
+        self, coefficients: FloatArray, theta: FloatArray, centre: float, half: float
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Gain and offset; amplitude."""
+        gain = float(theta[0]) / half
+        return np.array([gain, float(theta[1]) - gain * centre]), coefficients, 0.0
+
     def physical(
         self, coefficients: FloatArray, theta: FloatArray, centre: float, half: float
     ) -> tuple[Memoryless, float]:
-        gain = float(theta[0]) / half
-        return Tanh(float(coefficients[0]), gain, float(theta[1]) - gain * centre), 0.0
+        (gain, place), (amplitude,), constant = self.in_units(coefficients, theta, centre, half)
+        return Tanh(float(amplitude), float(gain), float(place)), constant
 
 
 @dataclass(frozen=True)
@@ -125,12 +144,19 @@ class SineBasis:
         sine, cosine = np.sin(theta[0] * z), np.cos(theta[0] * z)
         return (z * (coefficients[0] * cosine - coefficients[1] * sine))[:, None]
 
+    def in_units(
+        self, coefficients: FloatArray, theta: FloatArray, centre: float, half: float
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Frequency; amplitude and phase."""
+        frequency = float(theta[0]) / half
+        phase = float(np.arctan2(coefficients[1], coefficients[0])) - frequency * centre
+        return np.array([frequency]), np.array([np.hypot(*coefficients), phase]), 0.0
+
     def physical(
         self, coefficients: FloatArray, theta: FloatArray, centre: float, half: float
     ) -> tuple[Memoryless, float]:
-        frequency = float(theta[0]) / half
-        phase = float(np.arctan2(coefficients[1], coefficients[0])) - frequency * centre
-        return Sine(float(np.hypot(*coefficients)), frequency, phase), 0.0
+        (frequency,), (amplitude, phase), constant = self.in_units(coefficients, theta, centre, half)
+        return Sine(float(amplitude), float(frequency), float(phase)), constant
 
 
 BASES: dict[str, Basis] = {

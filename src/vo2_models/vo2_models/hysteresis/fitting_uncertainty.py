@@ -8,6 +8,8 @@ negative): a smooth model error repeats itself and is not averaged away by sampl
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,10 +32,10 @@ def _correlation_factor(residual: FloatArray) -> float:
 def uncertainties(
     projection: Projection, x: FloatArray, input_map: tuple[float, float], output_map: tuple[float, float]
 ) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-    """Names, values and covariance of the parameters in the units of the record.
+    """Names, values and covariance of the parameters in the units of the record, as the fitted model has them.
 
-    Memoryless coefficients are those of the normalised input's columns, in output units; their nonlinear
-    parameters are those of the normalised input.
+    Of a memoryless polynomial the coefficients are those of v, v^2 ...; of a tanh the parameters are gain and offset, the
+    coefficient its amplitude; of a sine the parameter is its frequency, the coefficients amplitude and phase.
 
     Parameters
     ----------
@@ -86,7 +88,31 @@ def uncertainties(
     values = to_units @ natural
     values[first + parameters.radii.size] += offset
     covariance = to_units @ covariance @ to_units.T
-    return _names(projection), values, covariance
+
+    # and the memoryless part of the normalised input as one of the input
+    bias = first + parameters.radii.size
+    own = [*range(first - theta.size, first), *range(bias + 1, values.size), bias]
+
+    def of_the_input(known: FloatArray) -> FloatArray:
+        moved, coefficients, constant = parameters.basis.in_units(
+            known[theta.size : -1], known[: theta.size], centre, half
+        )
+        return np.concatenate([moved, coefficients, [known[-1] + constant]])
+
+    change = np.eye(values.size)
+    change[np.ix_(own, own)] = _derivatives(of_the_input, values[own])
+    values[own] = of_the_input(values[own])
+    return _names(projection), values, change @ covariance @ change.T
+
+
+def _derivatives(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
+    """Central differences: exact for what is linear in each argument."""
+    columns = []
+    for k, value in enumerate(at):
+        step = np.zeros(at.size)
+        step[k] = 1e-6 * max(abs(float(value)), 1e-6)
+        columns.append((function(at + step) - function(at - step)) / (2 * step[k]))
+    return np.stack(columns, axis=1)
 
 
 def _names(projection: Projection) -> tuple[str, ...]:
