@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ __all__ = [
     "TIP_DEFLECTION",
     "Recording",
     "aligned",
+    "as_recordings",
     "clock_of",
     "counted",
     "in_order",
@@ -309,6 +310,32 @@ def in_order(recording: Recording) -> tuple[Recording, NDArray[np.float64]]:
     channels = {name: spread(values, np.nan) for name, values in recording.channels.items()}
     instants = np.asarray(start + np.arange(size) * period)
     return Recording(instants, channels, recording.device), spread(late, 0.0)
+
+
+def as_recordings(given: Recording | Sequence[Recording], name: str = "recordings") -> list[Recording]:
+    """Return recordings as a list, a single one too.
+
+    Parameters
+    ----------
+    given : one or several
+    name : of the argument, for messages
+
+    Raises
+    ------
+    ValueError : anything else; the message says what was found.
+    """
+    listed = [given] if isinstance(given, Recording) else given
+    wrong = (
+        [one for one in listed if not isinstance(one, Recording)]
+        if isinstance(listed, list | tuple)
+        else [given]
+    )
+    if wrong:
+        raise ValueError(
+            f"{name}: found {type(wrong[0]).__name__}, need a Recording or a list of them: "
+            "Recording(time_s, {channel: values}, device)"
+        )
+    return list(listed)
 
 
 def _in_time(name: str, values: NDArray[np.float64], late: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from vo2_models.device.description import preset
@@ -16,10 +17,14 @@ from vo2_models.device.ground_truth import truth
 from vo2_models.device.model import DeviceModel
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.parameters import Value
-from vo2_models.recording import Recording
+from vo2_models.recording import Recording, as_recordings
+from vo2_models.self_sensing.records import BOUND_KNOTS
 from vo2_models.self_sensing.scheme import Estimate, self_sensing
 
 __all__ = ["estimate", "fit", "simulate"]
+
+BEYOND = 0.1
+"""Share of the calibrated decades of resistance beyond which a resistance is another one than noise can make it."""
 
 
 def simulate(
@@ -31,7 +36,7 @@ def simulate(
     noise: bool = True,
     effects: Mapping[str, Mapping[str, float | str]] | None = None,
 ) -> Recording:
-    """Run a device on a current, from its long cold rest.
+    """Run a device on a current, from its long cold rest. What its drive cannot give is cut off, and told as a `UserWarning`.
 
     Parameters
     ----------
@@ -56,6 +61,7 @@ def simulate(
     >>> len(recording), "film_resistance" in recording
     (3, True)
     """
+    _tell_what_is_cut(device, current)
     if isinstance(device, str):
         return truth(device).with_effects(effects or {}).simulate(current, dt=dt, seed=seed, noise=noise)
     model = DeviceModel.from_parameters(device)
@@ -88,8 +94,9 @@ def fit(
     ------
     ValueError : recordings that cannot be fitted; the message says why.
     """
-    given = [recordings] if isinstance(recordings, Recording) else recordings
-    given = [preset(device).understood(recording) for recording in given]
+    given = [preset(device).understood(recording) for recording in as_recordings(recordings)]
+    if not given:
+        raise ValueError("recordings: found none, need at least one")
     result, parameters = fit_model(given, device, progress=progress)
     for note in result.notes:
         warnings.warn(note, UserWarning, stacklevel=2)
@@ -98,6 +105,8 @@ def fit(
 
 def estimate(model: Mapping[str, Value], resistance: ArrayLike, *, scheme: str = "composite") -> Estimate:
     """Estimate the deflection from the resistance, sample by sample from the cold.
+
+    Resistances far from those of the calibration are told as a `UserWarning`: there neither estimate nor bound says anything.
 
     Parameters
     ----------
@@ -113,4 +122,33 @@ def estimate(model: Mapping[str, Value], resistance: ArrayLike, *, scheme: str =
     ------
     ValueError : unknown scheme, a model without self-sensing, a resistance that is not above 0.
     """
-    return self_sensing(scheme, model).estimate(resistance)[0]
+    found = self_sensing(scheme, model).estimate(resistance)[0]
+    knots = np.atleast_1d(np.asarray(model.get(BOUND_KNOTS, []), dtype=np.float64))
+    if knots.size > 1:
+        measured = np.log10(np.asarray(resistance, dtype=np.float64))
+        beyond = BEYOND * float(np.ptp(knots))
+        outside = (measured < knots[0] - beyond) | (measured > knots[-1] + beyond)
+        if np.any(outside):
+            warnings.warn(
+                f"resistance: found {10 ** measured.min():.3g} to {10 ** measured.max():.3g} ohm, calibrated were "
+                f"{10 ** knots[0]:.3g} to {10 ** knots[-1]:.3g} ohm: {100 * np.mean(outside):.3g} % of the samples lie far "
+                "outside, where estimate and bound say nothing; check the unit",
+                UserWarning,
+                stacklevel=2,
+            )
+    return found
+
+
+def _tell_what_is_cut(device: str | Mapping[str, Value], current: ArrayLike) -> None:
+    """Say that a drive beyond its limits is cut off."""
+    known = preset(device if isinstance(device, str) else str(device.get("model.device", "")))
+    low, high = known.current_range
+    asked = np.asarray(current, dtype=np.float64)
+    if asked.size and (asked.min() < low or asked.max() > high):
+        unit = known.drive_unit
+        warnings.warn(
+            f"current: found {asked.min():g} to {asked.max():g} {unit}, the drive gives {low:g} to {high:g} {unit}: cut off "
+            "there; check the unit",
+            UserWarning,
+            stacklevel=3,
+        )

@@ -1,5 +1,6 @@
 """The reproduction's framework: rules, files, refusals; and that its sections are what they claim to be."""
 
+import itertools
 import json
 import math
 import os
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from vo2_control.pid import PUBLISHED_PELTIER_PID, pid_law
+from vo2_studies.preisach.nonmonotonic_study import PUBLISHED_PERCENT
 from vo2_studies.reproduce import candidates, chapter8, kept, main
 from vo2_studies.reproduce.claims import (
     Claim,
@@ -46,6 +48,7 @@ from vo2_studies.reproduce.pool import hear_the_end, interrupt_is_ours, run_many
 from vo2_studies.reproduce.sections import (
     arithmetic,
     chapter_3_5,
+    chapter_4_4,
     chapter_6,
     chapter_8_own,
     chapter_8_robustness,
@@ -214,6 +217,39 @@ def test_table_3_4_is_that_of_narrower_peaks_than_are_printed(criterion):
 def test_what_the_pid_was_tuned_for_contradicts_the_printed_gains():
     overshoot, settling = arithmetic.nominal_step()
     assert overshoot == pytest.approx(2.69, abs=0.05) and settling > 10 > arithmetic.nominal_step(0.05)[1]
+
+
+@pytest.mark.parametrize(("plays", "groups"), [(5, 1), (5, 2), (5, 5), (8, 3), (9, 4)])
+def test_what_section_3_2_counts_is_what_all_partitions_have(plays, groups):
+    cuts = [(0, *inner, plays) for inner in itertools.combinations(range(1, plays), groups - 1)]
+    assert arithmetic.groupings(plays, groups) == len(cuts)
+    used = {group for partition in cuts for group in itertools.pairwise(partition)}
+    assert arithmetic.groups_in_use(plays, groups) == len(used)
+
+
+def test_the_section_counts_fewer_losses_than_its_recursion_needs():
+    assert (
+        arithmetic.listed_evaluations(30, 7)
+        == 189
+        < arithmetic.groups_in_use(30, 7)
+        < 7 * arithmetic.groupings(30, 7)
+    )
+
+
+def test_only_the_partitions_of_table_3_4_are_contradicted():
+    claims = {claim.id: claim for claim in chapter_3_5._error_claims(np.random.default_rng(1))}
+    states = [claims[f"3.5.3.two_peaks_{name}_error"].state for name in ("uniform", "sum", "max")]
+    assert states == ["met", "met", "missed"] and not any(claim.contradicted for claim in claims.values())
+
+
+def test_shares_of_chapter_5_are_printed_errors_over_printed_ranges():
+    assert PUBLISHED_PERCENT["prediction max"]["proposed"] == pytest.approx(100 * 108.1 / 1950)
+    assert PUBLISHED_PERCENT["inverse max"]["proposed"] == pytest.approx(100 * 78 / 1877)
+
+
+def test_the_linear_term_needs_an_input_off_the_walls():
+    claim = chapter_4_4._rank()
+    assert claim.met and "the rank is 466" in claim.conditions
 
 
 def test_sections_are_complete_and_unique():

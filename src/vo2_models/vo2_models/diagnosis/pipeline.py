@@ -24,16 +24,16 @@ from vo2_models.diagnosis.result import Diagnosis
 from vo2_models.diagnosis.search import search
 from vo2_models.diagnosis.stages import Study
 from vo2_models.parameters import Value
-from vo2_models.recording import Recording
+from vo2_models.recording import Recording, as_recordings
 
 __all__ = ["diagnose", "study"]
 
 
 def diagnose(
-    recordings: Sequence[Recording],
+    recordings: Recording | Sequence[Recording],
     model: Mapping[str, Value] | Nominal,
     *,
-    calibration: Sequence[Recording] = (),
+    calibration: Recording | Sequence[Recording] = (),
     progress: Progress = lambda share, text: None,
 ) -> Diagnosis:
     """Compare recordings with a fitted simulation and say what was left out.
@@ -58,10 +58,10 @@ def diagnose(
 
 
 def study(
-    recordings: Sequence[Recording],
+    recordings: Recording | Sequence[Recording],
     model: Mapping[str, Value] | Nominal,
     *,
-    calibration: Sequence[Recording] = (),
+    calibration: Recording | Sequence[Recording] = (),
     limits: Limits | None = None,
     progress: Progress = lambda share, text: None,
     names: Sequence[str] = (),
@@ -86,7 +86,8 @@ def study(
     clock, limits = Clock(progress, 700), limits or Limits()
     nominal = model if isinstance(model, Nominal) else Nominal.from_parameters(model)
     recordings, calibration = (
-        [nominal.model.description.understood(one) for one in part] for part in (recordings, calibration)
+        [nominal.model.description.understood(one) for one in as_recordings(part, name)]
+        for name, part in (("recordings", recordings), ("calibration", calibration))
     )
     # the cores run fits in parallel: threads inside BLAS would only wait for each other
     with threadpool_limits(1, user_api="blas"):

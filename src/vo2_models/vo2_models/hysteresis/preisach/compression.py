@@ -173,7 +173,7 @@ def compress(operator: PreisachOperator, level: int, criterion: Criterion = "kl"
     mass, area = _checked(operator, level, criterion)
     loss, entropy = _loss_tables(mass, area)
     code = ("kl", "sum", "max").index(criterion)
-    partition, _, _ = _enumerate(loss, entropy, operator.level, level, code)
+    partition, _, _ = _enumerate(loss, entropy, operator.level, int(level), code)
     return evaluate_partition(operator, partition, criterion)
 
 
@@ -222,8 +222,10 @@ def evaluate_partition(
 def _checked(operator: PreisachOperator, level: int, criterion: str) -> tuple[Floats, Floats]:
     if criterion not in ("kl", "sum", "max"):
         raise ValueError(f"criterion: found {criterion!r}, need 'kl', 'sum' or 'max'")
-    if not 1 <= level <= operator.level:
-        raise ValueError(f"level: found {level}, need 1 to the operator's level {operator.level}")
+    if level != int(level) or not 1 <= level <= operator.level:
+        raise ValueError(
+            f"level: found {level}, need a whole number from 1 to the operator's level {operator.level}"
+        )
     if np.any(operator.density < 0):
         raise ValueError(f"operator: found density {operator.density.min():g}, need densities >= 0")
     return operator.weights, cell_areas(operator.walls, operator.diagonal)

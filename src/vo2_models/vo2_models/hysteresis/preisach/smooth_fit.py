@@ -250,6 +250,8 @@ def fit_smooth(
         raise ValueError(
             f"measured: found shape {used.shape} with {np.count_nonzero(used)} True, need {inputs.shape}"
         )
+    if folds < 2:
+        raise ValueError(f"folds: found {folds}, need at least 2: one is left out")
     if groups is None:
         label = np.arange(inputs.size) * 10 * folds // inputs.size
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import control
@@ -37,10 +38,60 @@ def _less(small: float, large: float) -> float:
     return 100 * (1 - small / large)
 
 
+def listed_evaluations(plays: int, groups: int) -> int:
+    """Evaluations of the dynamic programme as section 3.2 lists them: the terminal cost, (3.6), and (3.7) stage by stage."""
+    return plays + (plays - 1) + sum(plays - groups + k for k in range(1, groups - 1))
+
+
+def groupings(plays: int, groups: int) -> int:
+    """Ways to cut a row of plays into groups that are not empty, counted group by group."""
+    ways = [1] + [0] * plays
+    for _ in range(groups):
+        ways = [sum(ways[:end]) for end in range(plays + 1)]
+    return ways[plays]
+
+
+def groups_in_use(plays: int, groups: int) -> int:
+    """Different groups that occur in any of these partitions: the losses that (3.6) and (3.7) cannot do without."""
+    return sum(
+        # before and behind it at most as many groups as plays, and at least one where there are any
+        any(
+            min(start, 1) <= before <= start and min(plays - end, 1) <= groups - 1 - before <= plays - end
+            for before in range(groups)
+        )
+        for start in range(plays)
+        for end in range(start + 1, plays + 1)
+    )
+
+
+def _evaluations(plays: int, groups: int) -> list[Derived]:
+    """What section 3.2 counts, at the numbers of 3.5.5."""
+    n, m = plays, groups
+    formula = m * (2 * n - m + 1) / 2
+    at = f"N = {n}, M = {m}"
+    return [
+        Derived("3.2", "dynamic", f"Evaluations of the dynamic programme, M (2 N - M + 1) / 2, {at}", formula,
+                float(listed_evaluations(n, m)), "1", 0.0, "the stages as the section lists them"),
+        Derived("3.2", "exhaustive", f"Evaluations of the exhaustive search, (N - 1)! M / ((M - 1)! (N - M)!), {at}",
+                m * math.factorial(n - 1) / (math.factorial(m - 1) * math.factorial(n - m)), float(m * groupings(n, m)), "1", 0.0,
+                "partitions counted group by group, each of M groups"),
+        Derived("3.2", "needed", f"Losses that the dynamic programme needs, each once, against its evaluations, {at}", formula,
+                float(groups_in_use(n, m)), "1", 0.0, "the groups that occur in (3.6) and (3.7)",
+                "(3.7) is a minimum over u_k at every state; the section counts one evaluation a state"),
+    ]  # fmt: skip
+
+
 def derived() -> list[Derived]:
     """All of them, in the order of the text."""
     cells = cell_count(30)
     return [
+        Derived("1.1.2", "measurements", "Measurements that 200 levels need", 20100.0, float(cell_count(200)), "1", 0.0,
+                "L (L + 1) / 2"),
+        Derived("2.4.1", "offset", "Offset of the operator", -3.308, (-4.28 - 2.34) / 2, "log10 ohm", 0.002,
+                "the middle of [-4.28, -2.34] log10 ohm (2.4.2)"),
+        Derived("2.4.1", "decades", "Change of the resistance, orders of magnitude", 2.0, 4.28 - 2.34, "1", 0.05,
+                "[-4.28, -2.34] log10 ohm; 'approximately two'"),
+        *_evaluations(plays=30, groups=7),
         Derived("3.5.3", "less", "Error of the entropy schemes below that of uniform compression", 40.0,
                 np.mean([_less(0.27, 0.42), _less(0.20, 0.42)]), "%", 0.12, "Table 3.4: 36 and 52 %; 'about 40 %'"),
         Derived("3.5.4", "better", "Error of Entropy Sum over that of uniform compression, random case", 1.0, 0.54 / 0.53, "1",
@@ -59,6 +110,9 @@ def derived() -> list[Derived]:
                 "noise on [-5, 5]; 465 densities of mean 6 in saturation",
                 "the largest output of 465 densities uniform on [0, 12] is about 2790, of which 5 is 0.18 %"),
         Derived("4.4.2", "unknowns", "Unknowns with bias and linear term", 467.0, cells + 2.0, "1", 0.0, "465 densities and two"),
+        Derived("5.1.2", "strain", "Strain of a plane that loses 1.7 % of its area", -0.083, np.sqrt(1 - 0.017) - 1, "1", 0.05,
+                "the two lattice directions shrink alike",
+                "-0.083 takes 16 % from the area, 8 % along one direction alone; -0.0083, a zero more, would follow"),
         Derived("5.3.2", "range", "Range of the curvature", 1950.0, 1846.0 + 104.0, "1/m", 0.0, "[-104, 1846] 1/m"),
         Derived("5.3.2", "prediction", "Largest prediction error over the range", 5.6, 100 * 108.1 / 1950, "%", 0.02,
                 "108.1 and 1950 1/m; 'less than 5.6 %'"),
@@ -72,8 +126,6 @@ def derived() -> list[Derived]:
                 "0.031 and 0.012"),
         Derived("6.3.2", "largest_more", "Largest error of the GPI above that of the EGPI", 100.0, 100 * (0.082 / 0.041 - 1), "%",
                 0.01, "0.082 and 0.041"),
-        Derived("7.1.3", "range", "Range of the deflection", 72.15 - 48.13, 58.65 - 1.62, "um", 0.05,
-                "[48.13, 72.15] um in 7.1.3, [1.62, 58.65] um in 7.3.1", "two ranges for the same device and current"),
         Derived("8.1.2", "sensitivity", "Sensitivity of the position sensor", 0.111, 7.8 / 70, "V/um", 0.01, "7.8 V and 70 um"),
         Derived("8.1.2", "resolution", "Resolution of the position sensor over its range", 1.4e-5, 0.2e-6 / 13.875e-3, "1", 0.04,
                 "0.2 um and 13.875 mm"),

@@ -7,7 +7,12 @@ from vo2_models.hysteresis.preisach.compression import compress, evaluate_partit
 from vo2_models.hysteresis.preisach.inverse import PreisachInverse
 from vo2_models.identification.excitation import random_levels
 
-from vo2_studies.preisach.compression_study import PUBLISHED_MAX_ERROR, compression_study, stand_in_density
+from vo2_studies.preisach.compression_study import (
+    PUBLISHED_MAX_ERROR,
+    CompressionStudy,
+    compression_study,
+    stand_in_density,
+)
 from vo2_studies.reproduce.claims import (
     Claim,
     Context,
@@ -15,7 +20,7 @@ from vo2_studies.reproduce.claims import (
     Section,
     at_least,
     at_most,
-    within,
+    baseline,
     within_or_below,
 )
 from vo2_studies.reproduce.figures import STYLES, draw
@@ -25,6 +30,11 @@ NUMBER, TITLE = "2.4", "KL-divergence compression of the Preisach operator"
 DENSITIES = 20
 LEVEL = 4
 _WORDS = {"prediction": "prediction of a random sequence", "inverse": "open-loop inverse compensation"}
+_PRINTED = {
+    "prediction": {"J_KL": "below", "uniform": "larger than", "J_1": "larger than", "J_inf": "larger than"},
+    "inverse": {"J_KL": "", "uniform": "larger than", "J_1": "as large as", "J_inf": "as large as"},
+}
+"""How section 2.4.2 words its figures: bounds, and values."""
 
 
 def run(context: Context) -> Section:
@@ -35,41 +45,44 @@ def run(context: Context) -> Section:
         f"mean over {DENSITIES} densities of the kind of Fig. 2.2 (a peak off the diagonal, rough by a third), level 40 to "
         f"{LEVEL}, output -4.28 to -2.34; the measured density is not published"
     )
-    claims = []
-    for quantity, words in _WORDS.items():
-        ours, published = getattr(study, quantity), PUBLISHED_MAX_ERROR[quantity]
-        claims.append(
-            Claim(f"2.4.2.{quantity}_kl", "2.4.2", f"Largest error of the J_KL grid, {words}", published["J_KL"],
-                  ours["J_KL"], "log10 ohm", within_or_below(published["J_KL"], 0.1), conditions)
-        )  # fmt: skip
-        claims.append(
-            Claim(f"2.4.2.{quantity}_uniform", "2.4.2", f"Largest error of the uniform grid, {words}", published["uniform"],
-                  ours["uniform"], "log10 ohm", within(published["uniform"], 0.2), conditions)
-        )  # fmt: skip
-        ratio = published["J_KL"] / published["uniform"]
-        claims.append(
-            Claim(f"2.4.2.{quantity}_kl_over_uniform", "2.4.2", f"Largest error of J_KL over that of the uniform grid, {words}",
-                  ratio, ours["J_KL"] / ours["uniform"], "1", within(ratio, 0.1), conditions)
-        )  # fmt: skip
-        for other in ("J_1", "J_inf"):
-            claims.append(
-                Claim(f"2.4.2.{quantity}_{other.lower()}", "2.4.2", f"Largest error of the {other} grid, {words}",
-                      published[other], ours[other], "log10 ohm", at_least(published[other]),
-                      f"published: larger than 1.00; {conditions}")
-            )  # fmt: skip
-            ratio = published["J_KL"] / published[other]
-            claims.append(
-                Claim(f"2.4.2.{quantity}_kl_over_{other.lower()}", "2.4.2",
-                      f"Largest error of J_KL over that of {other}, {words}", ratio, ours["J_KL"] / ours[other], "1",
-                      at_most(ratio), f"published: below, as {other} has more than 1.00; {conditions}")
-            )  # fmt: skip
+    claims = [claim for quantity in _WORDS for claim in _claims(study, quantity, conditions)]
     context.progress("figures", 0.8)
+    ratios = [getattr(study, quantity)["J_KL"] / getattr(study, quantity)["uniform"] for quantity in _WORDS]
+    bounds = [
+        PUBLISHED_MAX_ERROR[quantity]["J_KL"] / PUBLISHED_MAX_ERROR[quantity]["uniform"]
+        for quantity in _WORDS
+    ]
     remarks = (
-        "J_KL is best on average and has about 0.4 of the uniform grid's error, as published. That the grids of J_1 and "
-        "J_inf are worse than the uniform one is not reproduced: on these densities all three criteria keep nearly the "
-        "same walls.",
+        f"J_KL is best on average and has {ratios[0]:.3f} (prediction) and {ratios[1]:.3f} (inverse) of the uniform grid's "
+        f"error, published below {bounds[0]:.3f} and {bounds[1]:.3f}. That the grids of J_1 and J_inf are "
+        "worse than the uniform one is not reproduced: on these densities all three criteria keep nearly the same walls.",
     )
     return Section(NUMBER, TITLE, tuple(claims), _figures(context.seed), remarks)
+
+
+def _claims(study: CompressionStudy, quantity: str, conditions: str) -> list[Claim]:
+    """The errors of one quantity, and those of J_KL over the others': a printed bound is held to without tolerance."""
+    ours, published = getattr(study, quantity), PUBLISHED_MAX_ERROR[quantity]
+    printed, words = _PRINTED[quantity], _WORDS[quantity]
+    least = published["J_KL"]
+    claims = [
+        Claim(f"2.4.2.{quantity}_kl", "2.4.2", f"Largest error of the J_KL grid, {words}", least, ours["J_KL"], "log10 ohm",
+              at_most(least) if printed["J_KL"] else within_or_below(least, 0.1),
+              f"published: {printed['J_KL']} {least:.2f}; {conditions}")
+    ]  # fmt: skip
+    for other in ("uniform", "J_1", "J_inf"):
+        theirs, bounded = published[other], printed[other] == "larger than"
+        said = f"published: {printed[other]} {theirs:.2f}"
+        claims += [
+            Claim(f"2.4.2.{quantity}_{other.lower()}", "2.4.2", f"Largest error of the {other} grid, {words}", theirs,
+                  ours[other], "log10 ohm", at_least(theirs) if bounded else baseline(theirs), f"{said}; {conditions}"),
+            Claim(f"2.4.2.{quantity}_kl_over_{other.lower()}", "2.4.2",
+                  f"Largest error of J_KL over that of {'the uniform grid' if other == 'uniform' else other}, {words}",
+                  least / theirs, ours["J_KL"] / ours[other], "1",
+                  at_most(least / theirs) if bounded else within_or_below(least / theirs, 0.1),
+                  f"{said} for {other}, {printed['J_KL']} {least:.2f} for J_KL; {conditions}"),
+        ]  # fmt: skip
+    return claims
 
 
 def _figures(seed: int) -> tuple[Figure, ...]:
