@@ -1,5 +1,6 @@
 """What is of a sensor and not of the device: something periodic, which is named and taken out, and readings of nothing."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -85,6 +86,22 @@ def test_what_swings_in_two_channels_is_no_sensors(model):
     found = vo2.diagnose([with_mains(levels, {TIP_DEFLECTION: 0.3e-6, RESISTANCE: 800.0})], fitted)
     assert all(one.id != "sensor_interference" for one in found.effects)
     assert any("swings at 50 Hz, and so does" in text for text in found.limits)
+
+
+@pytest.mark.filterwarnings("ignore:no step of the drive")
+def test_a_hum_that_is_the_smaller_part_of_what_has_no_name_is_told_and_not_named(model):
+    """A sensor that jumps to and fro by more than it hums: one line does not tell what it does."""
+    levels, fitted = model
+    hums = with_mains(levels, {TIP_DEFLECTION: 0.3e-6})
+    rng = np.random.default_rng(4)
+    jumps = 0.3e-6 * np.repeat(rng.choice([-1.0, 1.0], len(hums) // 60 + 1), 60)[: len(hums)]
+    found = vo2.diagnose(
+        replace(hums, channels={**hums.channels, TIP_DEFLECTION: hums[TIP_DEFLECTION] + jumps}), fitted
+    )
+    assert [(one.id, one.family) for one in found.effects] == [("unknown", "sensor:tip_deflection")]
+    said = next(text for text in found.limits if text.startswith("tip_deflection swings"))
+    assert re.match(r"tip_deflection swings at (50|49\.9\d?) Hz as well, by (2\.9|3)\S*e-07 m:", said)
+    assert found.next_experiment is not None and found.next_experiment.kind == "manual"
 
 
 @pytest.mark.filterwarnings("ignore:no step of the drive")

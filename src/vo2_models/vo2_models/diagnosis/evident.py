@@ -51,6 +51,12 @@ class Evident:
     deviations: Mapping[str, float] = field(default_factory=dict)
 
     @property
+    def explained(self) -> float:
+        """Share of the channel's squared error at these samples that it takes away, 0 to 1."""
+        share = 1.0 - (self.after / self.before) ** 2 if self.before > 0.0 else 0.0
+        return float(np.clip(share, 0.0, 1.0))
+
+    @property
     def effects(self) -> dict[str, dict[str, float | str]]:
         """What `Simulation.with_effects` takes."""
         return {f"{self.record.id}:{self.signal}": {**self.values, "signal": self.signal}}

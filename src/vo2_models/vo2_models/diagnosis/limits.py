@@ -44,6 +44,11 @@ class Limits:
         "what a converter that the values show by themselves changes, over the calibration's noise, from which it is new: a "
         "converter alone makes a noise of its step over the root of 12",
     )
+    line: float = _limit(
+        0.5,
+        "share of its channel's squared error that a swing at one frequency must explain to be named where the rest has no name: "
+        "reasoned; of two composed disturbances of a sensor, looked at, it was the smaller part",
+    )
     seen: float = _limit(
         0.99,
         "probability of an effect that the values show by themselves: chance puts no thousand values on a comb, but a program "

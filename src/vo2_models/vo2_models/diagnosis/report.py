@@ -78,8 +78,8 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
     effects = _named(study, probability) if decision.verdict == "differs" else []
     if decision.equivalent:
         effects = [_one_of(study, effects[0])]
-    shown = [_shown(study, evident) for evident in study.reading.evident]
-    candidates = [*(_seen(study, evident) for evident in study.reading.evident), *candidates]
+    shown = [_shown(study, evident) for evident in study.shown]
+    candidates = [*(_seen(study, evident) for evident in study.shown), *candidates]
     pairs = [list(pair) for pair in decision.rival_pairs]
     found = Diagnosis(
         verdict=verdict,
@@ -99,6 +99,7 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
             *_in_place_of_constants(study),
             *_sure(study),
             *_scattered_ends(study),
+            *_swings(study),
         ],
         not_excited=list(study.search.not_excited) if verdict != "agrees" or study.reading.first_use else [],
         excess=_excess(study),
@@ -548,20 +549,19 @@ def _shown(study: Study, evident: Evident) -> NamedEffect:
 def _seen(study: Study, evident: Evident) -> Candidate:
     """The same as a candidate: what it explains is told for the samples at which it acts."""
     size = study.located.nominal.span[evident.signal]
-    explained = 1.0 - (evident.after / evident.before) ** 2 if evident.before > 0.0 else 0.0
     return Candidate(
         evident.record.id,
         study.limits.seen,
         {evident.signal: evident.after / size},
         evident.signal,
-        explained_share=float(np.clip(explained, 0.0, 1.0)),
+        explained_share=evident.explained,
     )
 
 
 def _shown_in_words(study: Study, shown: Sequence[NamedEffect]) -> str:
     """What the values show, a sentence for each effect, before what is said of everything else."""
     words = ""
-    for evident, effect in zip(study.reading.evident, shown, strict=True):
+    for evident, effect in zip(study.shown, shown, strict=True):
         told = ", ".join(f"{name} {p.value:.5g} {p.unit}" for name, p in effect.parameters.items())
         size = study.located.nominal.span[evident.signal]
         words += (
@@ -715,7 +715,13 @@ def _unknown(study: Study) -> NamedEffect:
     probability = 1.0 if not named else 0.5
     if study.decision.chosen is None:
         probability = _something_else(study)
-    family = family_of_unnamed(study.located.problem, study.located.excess, shapes)
+    swings = [one for one in study.reading.evident if study.is_part_of_the_unnamed(one)]
+    # what swings in one channel alone is of its sensor
+    family = (
+        swings[0].record.family(swings[0].signal)
+        if swings
+        else family_of_unnamed(study.located.problem, study.located.excess, shapes)
+    )
     form = shapes[0].words if shapes else "none found"
     return NamedEffect("unknown", float(probability), statement, equation, {}, family=family, form=form)
 
@@ -845,6 +851,22 @@ def _scattered_ends(study: Study) -> list[str]:
         "before the noise comes in may be at its end, such as a stop that the device meets or an amplifier"
         for one in ended
     ]
+
+
+def _swings(study: Study) -> list[str]:
+    """Swings at one frequency that are a minor part of what has no name."""
+    told = []
+    for one in study.reading.evident:
+        if study.is_part_of_the_unnamed(one):
+            amplitude, frequency = (
+                _shown(study, one).parameters[name] for name in ("amplitude", "frequency")
+            )
+            told.append(
+                f"{one.signal} swings at {frequency.value:.4g} {frequency.unit} as well, by {amplitude.value:.3g} "
+                f"{amplitude.unit}: it explains less of the channel than is left there, and is taken for a part of what has no "
+                "name"
+            )
+    return told
 
 
 def _device_in_words(study: Study) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from vo2_models.diagnosis.decide import Decision
+from vo2_models.diagnosis.evident import Evident
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import Located
 from vo2_models.diagnosis.read import Reading
@@ -34,6 +35,21 @@ class Study:
     decision: Decision
     limits: Limits
     seconds: float
+
+    @property
+    def shown(self) -> tuple[Evident, ...]:
+        """What the values show by themselves, without the swings that are a minor part of what has no name."""
+        return tuple(one for one in self.reading.evident if not self.is_part_of_the_unnamed(one))
+
+    def is_part_of_the_unnamed(self, one: Evident) -> bool:
+        """Whether a swing at one frequency explains the smaller part of its channel's error, and the rest has no name."""
+        if (
+            "line" not in one.record.hooks
+            or self.decision.verdict != "differs"
+            or self.decision.chosen is not None
+        ):
+            return False
+        return one.explained < self.limits.line
 
     @property
     def verdict(self) -> Literal["agrees", "drifted", "differs"]:
