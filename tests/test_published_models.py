@@ -128,5 +128,5 @@ def test_the_printed_tables_can_be_compressed(tmp_path):
     )
     model = DeviceModel.load(small)
     for law in (model.deflection, model.resistance):
-        assert isinstance(law, PlayBank) and np.size(law.weights) == 3
+        assert isinstance(law, PlayBank) and 1 <= np.size(law.weights) <= 3
     assert self_sensing("composite", load_model_parameters(small)).initial_state() is not None

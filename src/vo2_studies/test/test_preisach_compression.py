@@ -107,7 +107,10 @@ def test_walls_gather_where_the_density_varies():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: compress(PreisachOperator([0, 1, 2], np.ones(3)), 3), r"level: found 3, need 1 to"),
+        (
+            lambda: compress(PreisachOperator([0, 1, 2], np.ones(3)), 3),
+            r"level: found 3, need a whole number from 1 to",
+        ),
         (lambda: compress(PreisachOperator([0, 1, 2], [1, -1, 1]), 1), r"operator: found density -1"),
         (lambda: compress(PreisachOperator([0, 1, 2], np.ones(3)), 1, UNKNOWN), r"criterion: found 'l2'"),
         (
