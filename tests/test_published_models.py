@@ -97,7 +97,22 @@ def test_a_grid_that_does_not_rise_is_one_line_when_a_model_is_read():
 def test_the_files_are_what_the_command_writes(tmp_path):
     assert main(["--output", str(tmp_path)]) == 0
     for name in (*MODELS, *CONTROLLERS):
-        assert (tmp_path / f"{name}.yaml").read_text() == (FOLDER / f"{name}.yaml").read_text(), name
+        written, shipped = (folder / f"{name}.yaml" for folder in (tmp_path, FOLDER))
+        head = [
+            [line for line in path.read_text().splitlines() if line.startswith("#")]
+            for path in (written, shipped)
+        ]
+        assert head[0] == head[1], name
+        # a law that was fitted comes out the same on every machine but for rounding
+        found, expected = load_model_parameters(written), load_model_parameters(shipped)
+        assert found.keys() == expected.keys(), name
+        for key, value in expected.items():
+            if isinstance(value, str | bool) or (
+                isinstance(value, list) and value and isinstance(value[0], str)
+            ):
+                assert found[key] == value, key
+            else:
+                np.testing.assert_allclose(found[key], value, rtol=1e-6, atol=1e-9, err_msg=key)
 
 
 def test_every_node_takes_its_published_file(graph, conductor):

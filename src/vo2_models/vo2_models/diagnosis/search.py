@@ -33,6 +33,8 @@ from vo2_models.numerics.parallel import parallel_map
 
 __all__ = ["Held", "Search", "search"]
 
+STRONG = 0.25
+"""Share of the best score from which an effect is refitted however many others are ahead."""
 SHORTLIST = 6
 """Hypotheses that are refitted in full."""
 TRIMMED = 2
@@ -249,7 +251,9 @@ def _refitted(
     known: Sequence[Explanation] = (),
 ) -> list[Explanation]:
     """Refit the most promising hypotheses, but those `known` already; those that may be the answer, or its rivals, to the end."""
-    promising = [s for s in scores if s.gain > max(0.08 * scores[0].gain, limits.faint)][:shortlist]
+    promising = [s for s in scores if s.gain > max(0.08 * scores[0].gain, limits.faint)]
+    # a limit of the drive is not linear: its score may be a quarter of that of others which it leaves far behind once refitted
+    promising = [s for k, s in enumerate(promising) if k < shortlist or s.gain > STRONG * scores[0].gain]
 
     def briefly(s: Score) -> Explanation:
         start = switched(problem, s.hypothesis, s.start, problem.residual, tick=clock.tick)
