@@ -15,10 +15,12 @@ from vo2_models.diagnosis.adequacy import Adequacy
 from vo2_models.diagnosis.breakdown import one_loop, turning_points
 from vo2_models.diagnosis.check import Unusable, check_recording
 from vo2_models.diagnosis.decide import _is_small
+from vo2_models.diagnosis.families import BY_DEPENDENCE, OF_ONE_LOOP
 from vo2_models.diagnosis.limits import Limits
-from vo2_models.diagnosis.next_experiment import library
+from vo2_models.diagnosis.next_experiment import TO_SEE, library, without_explanation
 from vo2_models.diagnosis.noise import NoiseModel, fit_noise, level_from_differences, outliers
 from vo2_models.diagnosis.nominal import Nominal, basis_of, transition_of
+from vo2_models.diagnosis.nonparametric_correction import Shape
 from vo2_models.diagnosis.part import _after_torn_steps, _turns
 from vo2_models.diagnosis.report import beside_the_first, probabilities
 from vo2_models.diagnosis.result import SCHEMA, validate
@@ -486,3 +488,12 @@ def test_a_name_that_leaves_another_channel_far_off_is_not_given(monkeypatch, el
     option = SimpleNamespace(chosen=SimpleNamespace(hypotheses=(), values=(), at_bound=()), final=None)
     adequacy = Adequacy(("sensor_zero_drift:stage_temperature",), 0.6, 0.0, 1e3, elsewhere=elsewhere)
     assert decide._is_admissible(option, SimpleNamespace(stable=True), adequacy, Limits()) == named
+
+
+def test_whatever_a_correction_without_a_name_depends_on_has_an_experiment():
+    groups = {group for families in (*BY_DEPENDENCE.values(), OF_ONE_LOOP) for group in families}
+    assert groups == set(TO_SEE)
+    for group in groups:
+        found = without_explanation([Shape("tip_deflection", group, "what it follows", 0.5, 3.0)], [])
+        assert found.kind == "manual" and TO_SEE[group] in found.instruction
+    assert "follows nothing that was tried" in without_explanation([], []).why
