@@ -1,6 +1,7 @@
 """What `fit` refuses to make a model of, and what it says beside a model."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -76,6 +77,11 @@ def test_a_clock_and_a_length_that_cannot_be_are_refused(recording):
         check_calibration([replace(recording, time_s=recording.time_s / 1000)], "integrated")
     with pytest.raises(ValueError, match="recording 2: found 499 samples, need at least 500"):
         check_calibration([recording, recording.slice(0, 499)], "integrated")
+
+
+def test_samples_far_longer_apart_than_the_device_takes_are_told(recording):
+    _, (note,) = check_calibration([replace(recording, time_s=recording.time_s * 1000)], "integrated")
+    assert re.search(r"^recording 1: the samples are 1 s apart, .* check the time column and its unit", note)
 
 
 def test_what_may_be_is_doubted(recording):

@@ -89,6 +89,7 @@ def test_a_memory_that_a_step_cannot_change_is_refused(name):
         (memory.astype(">f8"), "found >f8 array|found >?f.*array|found float64 array"),
         (memory.tolist(), "found list, need an array of float64"),
         (fixed, "found a read-only array, need one that a step may change"),
+        (np.full(law.memory_size, np.nan), "found a NaN, need numbers"),
     ):
         for call in (lambda m: law.step(60.0, m), lambda m: law.run([60.0], m)):
             with pytest.raises(ValueError, match=f"memory: ({said})"):

@@ -215,13 +215,15 @@ def check_memory(memory: Floats) -> None:
 
     Raises
     ------
-    ValueError : no array of float64 in the order of this machine, or one that cannot be written to.
+    ValueError : no array of float64 in the order of this machine, one that cannot be written to, or that holds a NaN.
     """
     if type(memory) is not np.ndarray or memory.dtype != np.float64:
         found = f"{memory.dtype} array" if isinstance(memory, np.ndarray) else type(memory).__name__
         raise ValueError(f"memory: found {found}, need an array of float64 from initial_memory or settle")
     if not memory.flags.writeable:
         raise ValueError("memory: found a read-only array, need one that a step may change: a copy")
+    if np.isnan(memory).any():
+        raise ValueError("memory: found a NaN, need numbers from initial_memory or settle")
 
 
 class LawInverse:

@@ -26,6 +26,8 @@ __all__ = ["check_calibration", "judge_fit", "noise_level"]
 
 _SHORTEST = 500
 _SHORTEST_QUASI_STATIC = 20
+_SETTLED = 20.0
+"""Time constants between two samples from which a lag cannot be seen; `diagnose` refuses such a recording."""
 _MOST_MISSING = 0.5
 _LEAST_EXPLAINED = 0.5
 _POOR_SHARE = 0.01
@@ -74,6 +76,15 @@ def check_calibration(
             raise ValueError(
                 f"{name}: found a sample every {recording.sample_period_s:.3g} s, need at least "
                 f"{nominal.shortest_period / 2:.3g} s for device {nominal.id}; check the time column and its unit"
+            )
+        if (
+            nominal.tells("body", "time_constant")
+            and recording.sample_period_s > _SETTLED * nominal.time_constant
+        ):
+            notes.append(
+                f"{name}: the samples are {recording.sample_period_s:.3g} s apart, the time constant of device {nominal.id} is "
+                f"{nominal.time_constant:.3g} s: each is taken as settled, and no lag can be found; check the time column and "
+                "its unit if that is not so"
             )
         empty = [
             channel

@@ -33,8 +33,10 @@ STRENGTHS = tuple(np.logspace(1, -9, 11).tolist())
 _RIDGE = 1e-10
 """Relative to the data's weight on each mass: far below the noise of any recording."""
 
-_WORSE = 2
-"""Strengths in a row that predict worse than the best before the search for a weaker one ends."""
+_STRIDE = 2
+"""Every how many strengths one is tried until one predicts worse than the best; then the neighbours of the best."""
+_HELD_OUT_GAP = 1e-8
+"""Duality gap of a fit that is only compared with others: it moves the error by less than 1e-3 of itself."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,22 +160,25 @@ class SmoothProblem:
         ridge = _RIDGE * rows.shape[0] * (mass.T @ mass)
         return cls(rows, u[used], 1.0 - usual, (weight * (curved.T @ curved)).tocsr(), ridge.tocsr(), areas)
 
-    def solve(self, strength: float, part: Booleans, nonnegative: bool) -> tuple[Floats, float]:
-        """Return masses (K,) and the constant, fitted on a part of the samples."""
+    def solve(
+        self, strength: float, part: Booleans, nonnegative: bool, **settings: float
+    ) -> tuple[Floats, float]:
+        """Return masses (K,) and the constant, fitted on a part of the samples; settings of `nonnegative_masses`."""
         rows, outputs = self.rows[part], self.outputs[part]
         penalty = strength * self.penalty
         if not nonnegative:
             return signed_masses(rows, outputs, penalty + self.ridge)
-        found = nonnegative_masses(rows, outputs, penalty)
+        found = nonnegative_masses(rows, outputs, penalty, **settings)
         return found.masses, found.constant
 
     def residual(self, masses: Floats, constant: float) -> Floats:
         """Measured minus modelled output of all samples (n,)."""
         return np.asarray(self.outputs - constant - self.rows @ node_values(masses), dtype=np.float64)
 
-    def held_out(self, strength: float, nonnegative: bool, out: Booleans) -> float:
-        """Return the squared error on the samples `out` (n,) of a fit to all others."""
-        masses, constant = self.solve(strength, ~out, nonnegative)
+    def held_out(self, nonnegative: bool, case: tuple[float, Booleans]) -> float:
+        """Return the squared error on a part (n,) of the samples of a fit of a strength to all others."""
+        strength, out = case
+        masses, constant = self.solve(strength, ~out, nonnegative, tolerance=_HELD_OUT_GAP)
         return float(np.sum(self.residual(masses, constant)[out] ** 2))
 
     def operator(
@@ -205,8 +210,8 @@ def fit_smooth(
     resemble each other, so parts are whole `groups`: reversal curves, or blocks of time.
 
     Any level will do: all is sparse in the Everett function at the nodes (`everett_rows`). Signed fits are one sparse
-    factorisation each, non-negative ones an interior point. Strengths are tried from the smoothest down, and weaker ones
-    no longer once two in a row predict worse than the best.
+    factorisation each, non-negative ones an interior point. Every other strength is tried from the smoothest down until one
+    predicts worse than the best so far, then the neighbours of the best.
 
     Parameters
     ----------
@@ -267,17 +272,23 @@ def fit_smooth(
         )
     problem = SmoothProblem.of(inputs, outputs, grid, used, diagonal, history)
     errors = {sign: np.full(tried.size, np.inf if compared else 0.0) for sign in signs}
+    order = np.argsort(-tried)
+    parts = [part == fold for fold in range(folds)]
     for sign in signs if compared else ():
-        worse = 0
-        for k in np.argsort(-tried):
-            squares = parallel_map(
-                partial(problem.held_out, float(tried[k]), sign), [part == fold for fold in range(folds)]
-            )
-            error = np.sqrt(sum(squares) / part.size)
-            worse = 0 if error < errors[sign].min() else worse + 1
-            errors[sign][k] = error
-            if worse == _WORSE:
+
+        def judge(some: Sequence[int], sign: bool = sign) -> None:
+            cases = [(float(tried[k]), out) for k in some for out in parts]
+            squares = np.reshape(parallel_map(partial(problem.held_out, sign), cases), (len(some), folds))
+            errors[sign][list(some)] = np.sqrt(squares.sum(axis=1) / part.size)
+
+        for k in order[::_STRIDE]:
+            judge([k])
+            if errors[sign][k] > errors[sign].min():
                 break
+        best_place = int(np.argmin(errors[sign][order]))
+        near = order[max(best_place - _STRIDE + 1, 0) : best_place + _STRIDE]
+        if untried := [int(k) for k in near if np.isinf(errors[sign][k])]:
+            judge(untried)
     chosen = min(signs, key=lambda sign: float(errors[sign].min()))
     best = float(tried[int(np.argmin(errors[chosen]))])
     masses, constant = problem.solve(best, np.ones(part.size, dtype=np.bool_), chosen)
