@@ -2,11 +2,14 @@
 
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from vo2_models.effects import effects
+from vo2_models.hysteresis.laws import LAWS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"])
@@ -56,6 +59,17 @@ def test_commands_are_those_that_there_are(page):
     for package, executable in re.findall(r"\./vo2 run (vo2_\w+) ([a-z][\w-]*)", text):
         place = ROOT / "install" / package / "lib" / package / executable
         assert os.access(place, os.X_OK), f"{page.name}: {package} {executable}"
+
+
+def test_the_catalogues_of_the_site_hold_every_effect_and_every_law():
+    pages = runpy.run_path(str(ROOT / "docs" / "tools" / "api_pages.py"))
+    written = pages["effects_page"]()
+    for name, record in effects().items():
+        assert f"## {name}\n\n{record.statement}" in written and record.equation in written
+        assert all(f"| `{parameter.name}` |" in written for parameter in record.parameters)
+    assert all(f"## {name}\n" in pages["laws_page"]() for name in LAWS)
+    modules = {module for folder in pages["folders"]().values() for module in folder}
+    assert {law.__module__ for law in LAWS.values()} <= modules
 
 
 def test_each_promise_names_a_test_that_is_there():

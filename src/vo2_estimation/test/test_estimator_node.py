@@ -6,10 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 from vo2_estimation.estimator_node import EstimatorNode
+from vo2_estimation.schemes import make_scheme
 from vo2_interface.model import model_parameters
 from vo2_interface.parameters import ros_parameters
 from vo2_interface.testing import bench
 from vo2_models.device import DeviceModel, truth
+from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.self_sensing import PolynomialSelfSensing, self_sensing
 
 import vo2_models as vo2
@@ -139,6 +141,14 @@ def test_a_model_that_lacks_what_the_scheme_needs_is_refused_with_the_reason():
         with_model(rig.add(EstimatorNode))
         assert math.isnan(answer(rig, MS, {"film_resistance": 1e5})[0])
         rig.until(lambda: "model.resistance: found no law" in rig.status("estimator: model")[0])
+
+
+def test_a_deflection_that_the_resistance_does_not_determine_is_told_with_the_scheme():
+    even = PlayBank([0.0], [0.0], [0.25], [-15.5], [0.25], [-14.5], [-5.0, 0.12, -1e-3])
+    tip = PlayBank([3e-5], [0.0], [0.25], [-15.5], [0.25], [-14.5], [0.0])
+    model = DeviceModel("integrated", resistance=even, deflection=tip).to_parameters()
+    note = make_scheme("composite", "", model, (1e2, 1e5)).note
+    assert "is not unique" in note and "the model has no error bounds" in note
 
 
 def test_the_model_says_which_device_it_is_and_a_preset_that_differs_is_told():

@@ -15,6 +15,7 @@ from vo2_models.parameters import Value
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 from vo2_models.self_sensing import KINDS, self_sensing
 from vo2_models.self_sensing.memory import StreamingMemory
+from vo2_models.self_sensing.records import BOUND_KNOTS
 
 __all__ = ["DRIVE", "SCHEMES", "DriveScheme", "ResistanceScheme", "Scheme", "make_scheme"]
 
@@ -75,7 +76,12 @@ class ResistanceScheme:
         scheme = self_sensing(kind, parameters)
         # only the scheme with dynamics has these; its module, with what it loads, stays where it is for the others
         mode = getattr(scheme, "mode", None)
-        self.note: str = getattr(scheme, "note", "")
+        bounds = (
+            ""
+            if parameters.get(BOUND_KNOTS)
+            else "the model has no error bounds, that of each estimate is NaN"
+        )
+        self.note = "; ".join(text for text in (scheme.doubt, getattr(scheme, "note", ""), bounds) if text)
         self.period_s: float = mode.period if mode is not None else 0.0
         self._memory = StreamingMemory(scheme, resistance_range)
         self.restart = self._memory.restart

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from vo2_models.device.description import preset
+from vo2_models.device.description import described, preset
 from vo2_models.device.model import DeviceModel, SensorModel
 from vo2_models.identification.calibration_check import check_calibration, judge_fit
 from vo2_models.identification.device_fit import FitResult
@@ -124,7 +124,7 @@ def fitted(recording, **residuals):
     """The fit whose residuals [log10 ohm, m] are those given, at the preset's noise."""
     noise = {RESISTANCE: 2e-3, TIP_DEFLECTION: 5e-8}
     sensors = {
-        channel: SensorModel(noise=noise[channel], colour=(), residual=size, residual_colour=0.0)
+        channel: SensorModel(noise=noise[channel], colour=(), residual=size, residual_colour=())
         for channel, size in residuals.items()
     }
     return FitResult(
@@ -170,6 +170,23 @@ def test_a_poor_fit_is_told_with_the_branch_and_the_rate_where_it_is(recording, 
     result = replace(fitted(recording, tip_deflection=6.5e-6), path=path, residuals={TIP_DEFLECTION: left})
     (note,) = judge_fit(result, [recording])
     assert f", most of it {words} and at the higher rates; look for" in note
+
+
+@pytest.mark.parametrize(("ends", "way"), [([-5.0, 5.0], "rises"), ([5.0, -5.0], "falls")])
+def test_a_fit_without_a_heated_body_is_judged_in_words_and_units_of_its_file(recording, ends, way):
+    device = {
+        "schema": "vo2-device/1",
+        "id": "film",
+        "drive": {"channel": "field", "unit": "V", "limits": [-5.0, 5.0], "operating": ends},
+        "responses": {"capacitance": {"unit": "F", "scale": "log10", "noise": 1e-3}},
+    }
+    path = 50.0 - 30.0 * np.cos(np.linspace(0.0, 6.0, COUNT) * np.pi)
+    left = np.where(np.gradient(path) > 0.0, 1e-2, 1e-3) * np.random.default_rng(6).standard_normal(COUNT)
+    found = fitted(recording, film_resistance=0.05)
+    model = replace(found.model, device=described(device, "film").document)
+    result = replace(found, model=model, path=path, residuals={RESISTANCE: left})
+    notes = judge_fit(result, [recording])
+    assert any("0.05 log10 F r.m.s." in note and f"most of it while field {way}" in note for note in notes)
 
 
 def test_a_channel_of_one_value_is_left_out_and_told(recording):

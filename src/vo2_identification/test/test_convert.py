@@ -150,6 +150,14 @@ def test_a_rig_without_a_device_file_has_names_and_units_of_its_own(tmp_path):
     np.testing.assert_allclose(one.recording["room"], [26.85, 27.85, 28.85], rtol=1e-12)
 
 
+def test_the_command_prints_the_units_of_a_rig_without_a_device_file(tmp_path, capsys):
+    text = MAP.replace("stage_temperature", "room").replace("film_resistance", "coil_flux")
+    file, path = prepared(tmp_path, text=text.replace("kohm", "mWb"))
+    assert convert.main(["--map", str(path), "--input", str(file), "--output", str(tmp_path / "bag")]) == 0
+    said = capsys.readouterr().out
+    assert "coil_flux 0.01 to 0.03 Wb, room 26.85 to 28.85 degC). The bag" in said
+
+
 @pytest.mark.parametrize("end", ["3,4,4", "3,", "3"])
 def test_a_last_row_that_was_not_written_to_its_end_is_left_out_and_told(tmp_path, end):
     one = converted(tmp_path, table=TABLE + end)
@@ -288,7 +296,7 @@ def test_a_share_of_another_column_is_taken_off(tmp_path):
         (
             ("unit: kohm", "unit: kohm, less: {column: T, factor: 2}"),
             TABLE,
-            "less: unit: found None, need one of",
+            "less: unit: found None, which is not known; need one of",
         ),
         (("unit: kohm", "unit: kohm, less: {column: P, unit: bar, factor: 2}"), TABLE, r"no column 'P'"),
         (("column: R", "column: Rho"), TABLE, r"column 'Rho'.*'t', 'I', 'R', 'T'"),
@@ -301,6 +309,11 @@ def test_a_share_of_another_column_is_taken_off(tmp_path):
         (("", ""), "t,R,R,T\n1,2,3,4\n", r"no column 'I'"),
         (("unit: kohm", "unit: kPa"), TABLE, "channel film_resistance: unit: found 'kPa'.*kohm"),
         (("unit: kohm", "unit: mA"), TABLE, "need a unit of resistance"),
+        (
+            ("film_resistance: {column: R, unit: kohm", "flux: {column: R, unit: Webr"),
+            TABLE,
+            r"channel flux: unit: found 'Webr', which is not known; need one of m, .*Wb.* with k, .*p before it",
+        ),
         (("film_resistance", "resistance"), TABLE, "channel resistance: not a channel.*film_resistance"),
         (("header_row: 1", "header_rows: 1"), TABLE, "'header_rows', which means nothing here"),
         (("header_row: 1", "header_row: one"), TABLE, "header_row: found 'one', need int"),

@@ -147,6 +147,7 @@ def test_a_table_and_a_written_drive_are_predicted(folder, tmp_path):
     common = ["--model", str(folder / "model.yaml"), "--output"]
     assert predict.main([*common, str(tmp_path / "one"), "--csv", str(table)]) == 0
     assert predict.main([*common, str(tmp_path / "two"), "--drive", "0,60,20,60,0", "--rate", "50"]) == 0
+    assert predict.main([*common, str(tmp_path / "three"), "--drive", "-5,60,-5"]) == 0
     with (tmp_path / "two" / "prediction.csv").open(encoding="utf-8") as file:
         volts = [float(row["drive_voltage"]) for row in csv.DictReader(file)]
     assert max(volts) == 60.0 and len(volts) == pytest.approx(200 / 50 / DT, rel=0.05)

@@ -80,7 +80,6 @@ def _convert(options: argparse.Namespace) -> int:
 
 def _convert_file(file: Path, column_map: ColumnMap, options: argparse.Namespace, *, several: bool) -> None:
     from vo2_models.identification.plausibility import impossible, unusual
-    from vo2_models.units import CHANNEL_QUANTITIES, SI
 
     from vo2_identification.bags import write_bag
     from vo2_identification.bags.problems import in_few_lines
@@ -95,13 +94,11 @@ def _convert_file(file: Path, column_map: ColumnMap, options: argparse.Namespace
             raise OSError(error.errno, error.strerror or str(error), str(path)) from error
         for problem in in_few_lines(converted.problems):
             print(f"convert: {problem}", file=sys.stderr)
-        units = {name: SI[quantity] for name, quantity in CHANNEL_QUANTITIES.items()}
         if (device := column_map.described) is not None:
             inside = device.in_roles(recording)
             for doubt in [*impossible(inside, device.key), *unusual(inside, device.key)]:
                 print(f"convert: {file}: {doubt}", file=sys.stderr)
-            units |= {name: device.units[role] for role, name in device.names.items()}
-        print(_line(recording, path, units), flush=True)
+        print(_line(recording, path, converted.units), flush=True)
 
 
 def shipped_maps() -> dict[str, Path]:

@@ -32,7 +32,11 @@ _WORDS = {
     "force": ("force", "newton"),
     "pressure": ("pressure",),
     "magnetic moment": ("moment",),
-    "flux density": ("flux", "tesla"),
+    "flux density": ("flux_density", "tesla"),
+    "charge": ("charge", "coulomb"),
+    "capacitance": ("capacitance", "farad"),
+    "inductance": ("inductance", "henry"),
+    "torque": ("torque",),
     "power": ("power", "watt"),
 }
 """Quantity -> what in a channel's name tells it."""

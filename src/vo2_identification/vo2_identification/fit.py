@@ -142,7 +142,8 @@ def _summary(result: FitResult) -> list[str]:
 
     lines, device = [], result.model.description
     for role, sensor in result.model.sensors.items():
-        unit = {RESISTANCE: "log10 ohm", STAGE_TEMPERATURE: "K"}.get(role, device.units.get(role, ""))
+        unit = "K" if role == STAGE_TEMPERATURE else device.units.get(role, "")
+        unit = f"log10 {unit}" if role == RESISTANCE else unit
         unit, factor = ("um", 1e6) if unit == "m" else (unit, 1.0)
         noise = factor * noise_level(role, sensor.noise)
         relative = f" ({100 * sensor.noise:.2g} % of the value)" if role == RESISTANCE else ""
@@ -170,12 +171,22 @@ def _summary(result: FitResult) -> list[str]:
     return lines + [f"note: {note}" for note in result.notes]
 
 
+class _Parser(argparse.ArgumentParser):
+    """Names the laws that there are in its help alone: they take a second to load."""
+
+    def format_help(self) -> str:
+        from vo2_models.identification.loop_law import LAW_CHOICES
+
+        self.epilog = f"laws: {', '.join(LAW_CHOICES)}"
+        return super().format_help()
+
+
 def _parser() -> argparse.ArgumentParser:
     from vo2_models.effects.catalogue import add_effects_option
 
     from vo2_identification.batch import add_batch_options
 
-    parser = argparse.ArgumentParser(prog="fit", description=_DESCRIPTION)
+    parser = _Parser(prog="fit", description=_DESCRIPTION)
     add_effects_option(parser)
     parser.add_argument(
         "--bag",
@@ -195,8 +206,8 @@ def _parser() -> argparse.ArgumentParser:
         "--law",
         default="",
         metavar="LAW",
-        help="hysteresis law of the simulation: plays, preisach, cs (a sparse Preisach density, compressive sensing), gpi, "
-        "egpi, bounded_plays, bouc_wen, limiting_loop, domains, or auto for the one that predicts held-out parts best "
+        help="hysteresis law of the simulation, one of those below: cs is a sparse Preisach density (compressive sensing), auto "
+        "the one that predicts held-out parts best "
         "(default: plays; without a heated body plays, preisach or bounded_plays, by held-out error)",
     )
     parser.add_argument(

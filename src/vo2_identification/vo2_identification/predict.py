@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import argparse
 import csv
+import re
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vo2_models.recording import Recording
+from vo2_models.recording import RESISTANCE, Recording
+from vo2_models.units import shown_unit
 
 if TYPE_CHECKING:
     from vo2_models.device.description import DeviceDescription
@@ -42,7 +45,7 @@ def main(args: Sequence[str] | None = None) -> int:
     ----------
     args : arguments of the command line; those of the process by default
     """
-    options = _parser().parse_args(args)
+    options = _parser().parse_args(_with_drive_joined(sys.argv[1:] if args is None else args))
     try:
         return _run(options)
     except (ValueError, OSError) as error:
@@ -50,6 +53,15 @@ def main(args: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("predict: interrupted", file=sys.stderr)
         return 130
+
+
+def _with_drive_joined(args: Sequence[str]) -> list[str]:
+    """The arguments with levels that begin below 0 joined to their option: argparse would take them for another option."""
+    joined = list(args)
+    for k in range(len(joined) - 1, 0, -1):
+        if joined[k - 1] == "--drive" and re.match(r"-[\d.]", joined[k]):
+            joined[k - 1 : k + 1] = [f"--drive={joined[k]}"]
+    return joined
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -113,12 +125,13 @@ def summary(prediction: Prediction, device: DeviceDescription) -> list[str]:
             f"{device.drive_channel}: taken to act {when} where it stands in the recording, as the responses show"
         )
     for role, one in prediction.channels.items():
-        name, unit = device.names[role], device.units[role]
-        text = f"{name}: predicted {np.min(one.value):.4g} to {np.max(one.value):.4g} {unit}"
+        name, (unit, factor) = device.names[role], shown_unit(device.units[role])
+        ends = factor * np.array([np.min(one.value), np.max(one.value)])
+        text = f"{name}: predicted {ends[0]:.4g} to {ends[1]:.4g} {unit}"
         if np.isfinite(one.error):
-            judged = f"log10 {unit}" if role == "film_resistance" else unit
+            judged = f"log10 {unit}" if role == RESISTANCE else unit
             text += (
-                f"; measured minus predicted {one.error:.3g} {judged} r.m.s., {100 * one.error / one.span:.2f} % of the "
+                f"; measured minus predicted {factor * one.error:.3g} {judged} r.m.s., {100 * one.error / one.span:.2f} % of the "
                 f"measured span; {100 * one.inside:.0f} % of the samples within the bounds"
             )
             if one.inside < _FEW_INSIDE:
@@ -140,9 +153,17 @@ def prediction_page(prediction: Prediction, model: DeviceModel) -> str:
 
     device = model.description
     sections = []
-    for role, one in prediction.channels.items():
-        name, unit = device.names[role], device.units[role]
-        judged = one.measured is not None
+    for role, shown in prediction.channels.items():
+        name, (unit, factor) = device.names[role], shown_unit(device.units[role])
+        judged = shown.measured is not None
+        measured = factor * shown.measured if shown.measured is not None else None
+        one = replace(
+            shown,
+            value=factor * shown.value,
+            lower=factor * shown.lower,
+            upper=factor * shown.upper,
+            measured=measured,
+        )
         with new_figure(height_in=4.4 if judged else 3.2) as figure:
             heights = (3, 1) if judged else (1,)
             places = figure.subplot_mosaic(
@@ -153,7 +174,7 @@ def prediction_page(prediction: Prediction, model: DeviceModel) -> str:
                 if one.measured is not None:
                     axes.plot(x, one.measured, color=COLOURS["true"], label="measured")
                 axes.plot(x, one.value, color=COLOURS["fit"], linestyle="--", label="predicted")
-                axes.set_yscale("log" if role == "film_resistance" else "linear")
+                axes.set_yscale("log" if role == RESISTANCE else "linear")
             course.fill_between(
                 prediction.time_s, one.lower, one.upper, color=COLOURS["fit"], alpha=0.2, label="95 % bounds"
             )
@@ -162,7 +183,7 @@ def prediction_page(prediction: Prediction, model: DeviceModel) -> str:
                     places["d"],
                     prediction.time_s,
                     one,
-                    f"log10 {unit}" if role == "film_resistance" else unit,
+                    f"log10 {unit}" if role == RESISTANCE else unit,
                 )
                 course.tick_params(labelbottom=False)
                 places["d"].sharex(course)

@@ -1,5 +1,6 @@
 """A device is a file: what it says is what the code knows of it, what it leaves open is derived, what is wrong is told."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -178,6 +179,16 @@ def test_a_model_loads_where_its_device_file_is_gone(tmp_path):
         ),
         ({"body": {"kind": "none", "ambient": 20}}, "found ambient with kind none"),
         ({"sampling": {"period": 0}}, "sampling: period: found 0, need a finite number above 0"),
+        (
+            {"sampling": {"period": 1e-3, "shortest": 2e-3}},
+            "sampling: shortest: found 0.002, need at most the period, 0.001 s",
+        ),
+        ({"id": "a b"}, "id: found 'a b', need a name without blanks"),
+        ({"transition": {"width": [-8.0, 2.0]}}, "width: found -8.0, need a finite number of at least 0"),
+        (
+            {"transition": {"heating": [62.0, -3.0]}},
+            "heating: found -3.0, need a finite number of at least 0",
+        ),
     ],
 )
 def test_what_is_wrong_is_told_with_file_key_found_and_needed(tmp_path, changes, words):
@@ -185,6 +196,40 @@ def test_what_is_wrong_is_told_with_file_key_found_and_needed(tmp_path, changes,
     with pytest.raises(ValueError) as error:
         preset(path)
     assert str(error.value).startswith(str(path)) and words in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"body": {"ambient": 297.15}}, "transition: heating: found 62, need what the body gets to over the operating range"),
+        ({"body": {"square_gain": 1.01}}, "transition: heating: found 62, need what the body gets to"),
+        ({"transition": {"heating": [335.0, 3.5]}}, "35.68 to 94.8 degC: ambient (22) and heating in degC"),
+        (
+            {"drive": {"limits": [0.0, 12.78], "operating": [3.68, 8.49]}},
+            "body: found 1.368e+07 to 7.28e+07 degC over the operating range, need -273.15 to 4000 degC",
+        ),
+        ({"body": {"ambient": -295.0}}, "need -273.15 to 4000 degC: ambient in degC, drive in A, gains in K/A and K/A^2"),
+    ],
+)  # fmt: skip
+def test_numbers_in_another_unit_are_told_as_the_file_is_read(tmp_path, changes, words):
+    document = json.loads(preset("integrated").document) | {"id": "mine"}
+    for key, values in changes.items():
+        document[key] |= values
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump(document), encoding="utf-8")
+    with pytest.raises(ValueError) as error:
+        preset(path)
+    assert str(error.value).startswith(f"{path}: ") and words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_material_that_cannot_bend_as_the_file_says_is_told(tmp_path):
+    document = json.loads(preset("integrated").document) | {"id": "mine"}
+    document["structure"]["length"] = 425.0  # micrometres
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump(document), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"device mine: found no bending .* need .* length and range in m"):
+        truth(str(path), domains=100)
 
 
 def test_files_that_are_none(tmp_path):

@@ -113,7 +113,8 @@ def test_a_resistance_law_without_an_inverse_is_told_in_one_line():
     law = NonMonotonicPreisach(LAWS["preisach"], 0.05, 0.06, 22.0)
     parameters = DeviceModel("integrated", resistance=law, deflection=LAWS["bouc_wen"]).to_parameters()
     with pytest.raises(
-        ValueError, match=r"found 'nonmonotonic' whose -log10 R falls while .* need a law with an inverse"
+        ValueError,
+        match=r"found 'nonmonotonic' whose -log10 R falls while .* need a law with an inverse: `fit --law plays`",
     ):
         self_sensing("composite", parameters)
 

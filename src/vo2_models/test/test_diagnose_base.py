@@ -5,14 +5,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from own_devices import STACK
 from scipy.linalg import cholesky_banded, toeplitz
 from scipy.signal import lfilter
 from vo2_models.device import DeviceModel
 from vo2_models.device.coefficients import HUGE, blocks
+from vo2_models.device.description import preset
 from vo2_models.device.model import SensorModel
 from vo2_models.diagnosis.adequacy import adequacy_of, reached, sureness
 from vo2_models.diagnosis.bend import Bend
-from vo2_models.diagnosis.breakdown import breakdown, locate
+from vo2_models.diagnosis.breakdown import branch_words, breakdown, locate
 from vo2_models.diagnosis.courses import course_columns, gain_of_course, with_courses, worth_their_price
 from vo2_models.diagnosis.current_reading import as_commanded, between_samples, current_reading
 from vo2_models.diagnosis.explain import Explanation, Score, fit_jointly, price, score, switched
@@ -705,6 +707,11 @@ def test_a_branch_is_told_by_its_energy_per_sample() -> None:
     ):
         found = locate(problem, breakdown(problem, change * counts, floor=0.0))
         assert found[0].branch == place
+
+
+def test_branches_of_a_device_without_a_heated_body_are_those_of_its_drive() -> None:
+    assert list(branch_words(preset("integrated")).values()) == ["heating", "cooling", "held"]
+    assert list(branch_words(STACK).values()) == ["rising", "falling", "held"]
 
 
 @pytest.mark.parametrize("ar", [(), (0.9,)])

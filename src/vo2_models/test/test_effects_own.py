@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+from vo2_models.effects.catalogue import check_hooks, load_effect, module_of
 from vo2_models.effects.skeleton import main, skeleton
 
 RUN = """
@@ -99,7 +100,7 @@ def test_the_skeleton_is_not_written_over_anything(tmp_path, capsys):
         (("slow_anchor", "creep"), "found the id 'creep' twice"),
         (
             ("return -share, share * late", "return -share, share * lat"),
-            "hook body: cannot be compiled (NameError: name 'lat' is not defined)",
+            "hook body: cannot be run (NameError: name 'lat' is not defined)",
         ),
         (("parameters=(", "parameters=(None,"), "EFFECT: found a value of another type than Effect says"),
         (
@@ -126,21 +127,99 @@ def test_a_file_that_is_not_sound_is_told_with_its_place(tmp_path, change, said)
 @pytest.mark.parametrize(
     ("body", "said"),
     [
-        ("    value * (1.0 - leak)", "hook terminals: found None with neutral parameters, need resistance at the terminals"),
-        ("    return value, leak", "hook terminals: found (10000.0, 0.0) with neutral parameters"),
+        ("    value * (1.0 - leak)", "hook terminals: found None, need resistance at the terminals"),
+        ("    return value, leak", "hook terminals: found (10000.0, 0.1), need resistance"),
         ("    return 1.02 * value", "hook terminals: found 10200 of 10000 with neutral parameters, need 10000"),
     ],
 )  # fmt: skip
 def test_a_hook_that_gives_no_number_or_acts_while_it_is_off_is_told(tmp_path, body, said):
     (tmp_path / "leak.py").write_text(
         "from vo2_models.effects.record import Effect, constant_of\n"
-        "EFFECT = Effect(id='leak', stage='terminals', channels=('film_resistance',), typical={},\n"
+        "EFFECT = Effect(id='leak', stage='terminals', channels=('film_resistance',),\n"
+        "    typical={'integrated': {'leak': (0.1, 0.2)}},\n"
         "    parameters=(constant_of('leak', 0, '1', 'lost share', 0, 1),),\n"
         "    equation='', excitation='', source='', statement='')\n"
         f"def terminals(value, leak):\n{body}\n"
     )
     code = "from vo2_models.effects import effects\ntry:\n    effects()\nexcept ValueError as error:\n    print(error)"
     assert said in run(tmp_path, code).stdout
+
+
+OWN_LAG = """
+import math
+from vo2_models.effects.record import ALL, Effect, State, constant_of
+
+EFFECT = Effect(
+    id="own_lag", stage="{stage}", parameters=(constant_of("tau", 0, "s", "time constant", 0, 10),), channels=ALL,
+    states=(State("late", "1", "what has arrived"),), typical={{"integrated": {{"tau": (1e-3, 5e-3)}}}},
+    equation="tau dy/dt = u - y", excitation="steps", source="any text", statement="One value comes late.",
+)
+
+def settled({quantity}):
+    return {quantity}
+
+def advance({quantity}, late, period, tau):
+    return late - math.expm1(-period / tau) * ({quantity} - late)
+
+def {hook}(late):
+    return late
+"""
+SHARE = "(0.03, 0.1)"
+BODY = "    return -share, share * late\n"
+ANOTHER = "settled=0.0), State('other', 'K', 'a second one', settled=0.0),)"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (f'{{"integrated": {{"share": {SHARE}, "time_constant": (0.02, 0.2)}}}}', "{}", "typical: found no range, need one"),
+        (SHARE, "(0.1, 0.03)", "typical: integrated: share: found (0.1, 0.03), need (low, high) above 0 and within -0.5 to 0.5"),
+        (SHARE, "(0.03, 5.0)", "share: found (0.03, 5.0), need (low, high) above 0 and within -0.5 to 0.5"),
+        (SHARE, "(0.03,)", "share: found (0.03,), need (low, high)"),
+        ('{"integrated"', '{"watch"', "typical: found 'watch', need one of integrated, peltier"),
+        ('{"integrated"', '{"integrated:tip_deflection"', "typical: found 'integrated:tip_deflection', need one of"),
+        ('0, "1", "part', '0, "furlong", "part', "parameter share: unit: found 'furlong', need parts of 1, rad"),
+        ("    return late - math", "    return late, late - math", "hook advance: found (25.0, "),
+        ('slow body"),)', f'slow body", {ANOTHER}', "hook settled: found 25.0, need 2 numbers: late, other"),
+        ("    return drive\n", '    return "rest"\n', "hook settled: found 'rest', need 1 number: late"),
+        ("    return drive\n", "    return drive * math.nan\n", "hook settled: found nan at magnitudes of typical"),
+        ("(drive - late)", "(drive - late) + math.nan", "hook advance: found nan at magnitudes of typical, need finite"),
+        (BODY, "    return 'warm'\n", "hook body: found 'warm', need change of the body's temperature per kelvin"),
+        (BODY, "    share * late\n", "hook body: found None, need change of the body's temperature per kelvin"),
+        (BODY, "    return 0.01 - share, 0.0\n", "hook body: found 0.01 of 0 with neutral parameters, need 0"),
+        (BODY, f"    if late < 1e3:\n    {BODY}", "hook body: found None on one of its ways, need a value on each"),
+    ],
+)  # fmt: skip
+def test_what_would_break_in_use_is_refused_as_the_file_is_loaded(tmp_path, old, new, said):
+    file = tmp_path / "slow_anchor.py"
+    text = skeleton("slow_anchor")
+    assert old in text
+    file.write_text(text.replace(old, new))
+    with pytest.raises(ValueError) as error:
+        check_hooks(load_effect(module_of(file)))
+    assert str(error.value).startswith(f"{file}: ") and said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_hook_with_memory_that_is_not_off_at_its_neutral_values_is_refused(tmp_path):
+    file = tmp_path / "own_lag.py"
+    text = OWN_LAG.format(stage="structure", hook="structure", quantity="deflection")
+    file.write_text(text)
+    check_hooks(load_effect(module_of(file)))
+    file.write_text(text.replace("return late\n", "return 1.01 * late\n"))
+    with pytest.raises(ValueError, match=r"hook structure: found 1.01e-05 of 1e-05 with neutral parameters"):
+        load_effect(module_of(file))
+
+
+def test_an_advance_that_gives_one_of_two_states_is_refused(tmp_path):
+    file = tmp_path / "own_lag.py"
+    text = OWN_LAG.format(stage="structure", hook="structure", quantity="deflection")
+    text = text.replace('"what has arrived"),)', f'"what has arrived", {ANOTHER}').replace(
+        "def settled", "def rests"
+    )
+    file.write_text(text)
+    with pytest.raises(ValueError, match=r"own_lag.py: hook advance: found .*, need 2 numbers: late, other"):
+        load_effect(module_of(file))
 
 
 def test_a_command_tells_what_is_wrong_with_an_effect_file_in_one_line(tmp_path, capsys):
@@ -182,25 +261,7 @@ def test_a_folder_that_is_not_there_is_told(tmp_path):
 def test_a_lag_of_ones_own_works_at_every_stage_that_passes_a_value_on(
     tmp_path, stage, hook, quantity, channel
 ):
-    (tmp_path / "own_lag.py").write_text(f"""
-import math
-from vo2_models.effects.record import ALL, Effect, State, constant_of
-
-EFFECT = Effect(
-    id="own_lag", stage={stage!r}, parameters=(constant_of("tau", 0, "s", "time constant", 0, 10),), channels=ALL,
-    states=(State("late", "1", "what has arrived"),), typical={{"integrated": {{"tau": (1e-3, 5e-3)}}}},
-    equation="tau dy/dt = u - y", excitation="steps", source="any text", statement="One value comes late.",
-)
-
-def settled({quantity}):
-    return {quantity}
-
-def advance({quantity}, late, period, tau):
-    return late - math.expm1(-period / tau) * ({quantity} - late)
-
-def {hook}(late):
-    return late
-""")
+    (tmp_path / "own_lag.py").write_text(OWN_LAG.format(stage=stage, hook=hook, quantity=quantity))
     code = (
         "import numpy as np\nfrom vo2_models.device import truth\n"
         "def late(**e): return truth('integrated', domains=50, effects=e).simulate(np.r_[np.zeros(50), np.full(50, 4e-3)], "

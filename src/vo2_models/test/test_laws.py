@@ -77,6 +77,17 @@ def test_a_misspelt_saturation_is_no_other_end(name):
         EXAMPLES[name].initial_memory("Lower")
 
 
+def test_a_law_that_asks_for_one_end_only_refuses_a_misspelt_other_too():
+    class Careless(BoucWen):
+        def initial_memory(self, saturation="lower"):
+            return super().initial_memory("lower" if saturation == "lower" else "upper")
+
+    law = Careless(0.3, 0.8, 1.5, 2.0)
+    assert np.array_equal(law.initial_memory("upper"), BoucWen(0.3, 0.8, 1.5, 2.0).initial_memory("upper"))
+    with pytest.raises(ValueError, match=r"saturation: found 'Lower', need 'lower' or 'upper'"):
+        law.settle(50.0, "Lower")
+
+
 @NAMES
 def test_a_memory_that_a_step_cannot_change_is_refused(name):
     law = EXAMPLES[name]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from own_devices import STACK
 from vo2_models.device import truth
 from vo2_models.device.surrogate import temperature_of_surrogate
 from vo2_models.hysteresis.play_bank import PlayBank
@@ -177,12 +178,27 @@ def test_a_resistance_that_is_none_is_refused(bad):
 def test_a_model_without_the_laws_is_refused_with_the_remedy():
     with pytest.raises(ValueError, match=r"model\.resistance: found no law.*load a model file"):
         self_sensing("composite", {"model.device": "integrated"})
-    with pytest.raises(ValueError, match="polynomial: found no polynomial"):
+    with pytest.raises(ValueError, match="polynomial: found no law"):
         self_sensing("polynomial", laws())
     with pytest.raises(ValueError, match="kind: found 'magic'"):
         self_sensing("magic", laws())
     with pytest.raises(ValueError, match="no channel tip_deflection"):
         characterise(Recording(np.arange(3.0), {RESISTANCE: np.full(3, 1e4)}), laws())
+
+
+def test_a_deflection_that_the_resistance_does_not_determine_is_told():
+    assert all(self_sensing(kind, laws()).doubt == "" for kind in ("composite", "dynamic"))
+    even = laws() | bank([0.0, 0.0, 0.0], 60.0, [-5.0, 0.12, -1e-3]).to_parameters("model.resistance")
+    scheme = self_sensing("composite", even)
+    with pytest.warns(
+        UserWarning, match=r"of film_resistance to tip_deflection is not unique.* composite scheme errs by"
+    ):
+        scheme.estimate([1e4])
+
+
+def test_a_direct_scheme_of_a_device_without_body_says_which_model_can_be_used():
+    with pytest.raises(ValueError, match=r"egpi: found no law; `fit` writes .* use scheme composite with"):
+        self_sensing("egpi", {"model.device": STACK.document})
 
 
 def test_records_describe_what_characterise_writes():

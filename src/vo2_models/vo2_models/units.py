@@ -8,7 +8,17 @@ from difflib import get_close_matches
 
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
-__all__ = ["CHANNEL_QUANTITIES", "SI", "UNITS", "Unit", "fitting_units", "stamp_in_words", "unit_named"]
+__all__ = [
+    "CHANNEL_QUANTITIES",
+    "SI",
+    "UNITS",
+    "Unit",
+    "any_unit",
+    "fitting_units",
+    "shown_unit",
+    "stamp_in_words",
+    "unit_named",
+]
 
 
 @dataclass(frozen=True)
@@ -22,7 +32,7 @@ class Unit:
 
 _OF_DAY_S = 1e6
 """Stamps beyond are times of day [s]."""
-_PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "m": 1e-3, "u": 1e-6, "n": 1e-9}
+_PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "m": 1e-3, "u": 1e-6, "n": 1e-9, "p": 1e-12}
 _MICRO = ("\N{MICRO SIGN}", "\N{GREEK SMALL LETTER MU}")
 _BASES = {
     "m": "length",
@@ -35,8 +45,13 @@ _BASES = {
     "J": "energy",
     "C": "charge",
     "F": "capacitance",
+    "C/m2": "polarisation",
+    "V/m": "electric field",
     "N": "force",
+    "N m": "torque",
     "Pa": "pressure",
+    "Wb": "magnetic flux",
+    "H": "inductance",
     "T": "flux density",
     "A/m": "magnetic field",
     "A m2": "magnetic moment",
@@ -46,16 +61,11 @@ _BASES = {
 }
 _OTHER_NAMES = {
     "ohm": ("Ohm", "\N{GREEK CAPITAL LETTER OMEGA}", "\N{OHM SIGN}"),
+    "N m": ("Nm", "N*m"),
     "degC": ("°C",),
     "degF": ("°F",),
 }
-
-UNITS = {
-    **{
-        prefix + base: Unit(kind, factor)
-        for base, kind in _BASES.items()
-        for prefix, factor in _PREFIXES.items()
-    },
+_WITHOUT_PREFIX = {
     "min": Unit("time", 60.0),
     "h": Unit("time", 3600.0),
     "degC": Unit("temperature", 1.0),
@@ -69,6 +79,10 @@ UNITS = {
     "%": Unit("number", 0.01),
     "1": Unit("number", 1.0),
 }
+
+UNITS = {
+    prefix + base: Unit(kind, factor) for base, kind in _BASES.items() for prefix, factor in _PREFIXES.items()
+} | _WITHOUT_PREFIX
 """Name in a map -> unit; `unit_named` knows further spellings."""
 
 SI = {
@@ -92,28 +106,51 @@ CHANNEL_QUANTITIES = {
 """Channels of the contract, and what they measure; a device file may name others."""
 
 
+def any_unit(name: str) -> Unit | None:
+    """Return the unit of this name, whatever it measures; None if there is none."""
+    return UNITS.get(_plain(name))
+
+
 def unit_named(name: str, quantity: str) -> Unit | None:
     """Return the unit of a quantity, None if there is none of this name."""
-    unit = UNITS.get(_plain(name))
+    unit = any_unit(name)
     return unit if unit is not None and unit.quantity == quantity else None
 
 
-def fitting_units(name: str, quantity: str) -> str:
-    """Say which units there are, beginning with what a misspelt name may have meant.
+def shown_unit(unit: str) -> tuple[str, float]:
+    """Return the unit in which a text or a figure gives what a recording has in `unit`, and the factor to it.
 
     Parameters
     ----------
-    quantity : physical quantity, such as length
+    unit : of a recording
+
+    Examples
+    --------
+    >>> shown_unit("m"), shown_unit("N")
+    (('um', 1000000.0), ('N', 1.0))
+    """
+    return ("um", 1e6) if unit == "m" else (unit, 1.0)
+
+
+def fitting_units(name: str, quantity: str = "") -> str:
+    """Say which units there are, and what a misspelt name may have meant.
+
+    Parameters
+    ----------
+    quantity : physical quantity, such as length; empty for any
 
     Returns
     -------
-    the sentence for an error message
+    the end of an error message
     """
-    there = [one for one, unit in UNITS.items() if unit.quantity == quantity]
+    there = [one for one, unit in UNITS.items() if quantity in ("", unit.quantity)]
     lower = {one.lower(): one for one in there}
     meant = get_close_matches(_plain(name).lower(), lower, n=1, cutoff=0.6)
     guess = f" (did you mean {lower[meant[0]]}?)" if meant else ""
-    return ", ".join(there) + guess
+    if quantity:
+        return ", ".join(there) + guess
+    prefixes = ", ".join(prefix for prefix in _PREFIXES if prefix)
+    return f"{', '.join(_BASES)} (each also with {prefixes} before it), {', '.join(_WITHOUT_PREFIX)}{guess}"
 
 
 def _plain(name: str) -> str:

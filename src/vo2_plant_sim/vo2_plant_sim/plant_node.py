@@ -5,6 +5,9 @@ sample and publishes the next measurement, as fast as the loop answers. In wall 
 pace, applies the newest command, and takes the safe current when commands stop. There it refuses commands that
 are too old by the stamp they answer, and listens to one commander until that one is silent. In both it applies
 no current that the device does not bear.
+
+`--effects DIR`, before `--ros-args` and as often as needed, adds a folder of effect files of your own to what the
+parameter `effects` knows.
 """
 
 from __future__ import annotations

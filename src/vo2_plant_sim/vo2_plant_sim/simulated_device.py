@@ -34,7 +34,7 @@ SIMULATED_DEVICE_PARAMETERS = (
         "effects",
         "",
         "",
-        'Physics beyond the nominal device, as YAML: "{creep: {share: 0.05}}"; empty for none.',
+        "Physics beyond the nominal device, as YAML; in a shell -p effects:='\"{creep: {share: 0.05}}\"'; empty for none.",
     ),
     Parameter("noise", True, "", "Whether the sensors are noisy."),
 )

@@ -12,7 +12,7 @@ from typing import Any
 
 from vo2_models.device.description import PRESETS, DeviceDescription, preset
 from vo2_models.io import InputError, read_yaml
-from vo2_models.units import CHANNEL_QUANTITIES, SI, UNITS, Unit, fitting_units, unit_named
+from vo2_models.units import CHANNEL_QUANTITIES, SI, Unit, any_unit, fitting_units, unit_named
 
 __all__ = ["ColumnMap", "Guard", "MapError", "Series", "Source", "read_map"]
 
@@ -224,7 +224,7 @@ def _series(
         quantity = quantities.get(channel)
         # a rig without a device file yet has names of its own; one letter off is a mistake all the same
         if quantity is None and own_names and not get_close_matches(str(channel), quantities, cutoff=_MEANT):
-            quantity = _quantity_of(entry)
+            quantity = _quantity_of(entry, place)
         if quantity is None:
             raise MapError(
                 f"{place}: not a channel, need one of {', '.join(quantities)}; or name a device file that has it"
@@ -281,16 +281,18 @@ def _less(entry: Any, where: str) -> tuple[Source, float]:
         raise MapError(
             f"{where}: factor: found {factor}, need a finite number, the channel's SI unit per SI unit of this"
         )
-    quantity = _quantity_of(entry)
-    if quantity is None:
-        raise MapError(f"{where}: unit: found {entry.get('unit')!r}, need one of {', '.join(UNITS)}")
-    return _source(entry, quantity, where), float(factor)
+    return _source(entry, _quantity_of(entry, where), where), float(factor)
 
 
-def _quantity_of(entry: Any) -> str | None:
-    """Quantity that the unit of an entry measures; None where there is no such unit."""
-    unit = str(entry.get("unit", "")) if isinstance(entry, dict) else ""
-    return next((quantity for quantity in SI if unit_named(unit, quantity)), None)
+def _quantity_of(entry: Any, where: str) -> str:
+    """Quantity that the unit of an entry measures."""
+    name = entry.get("unit") if isinstance(entry, dict) else None
+    unit = any_unit(str(name))
+    if unit is None:
+        raise MapError(
+            f"{where}: unit: found {name!r}, which is not known; need one of {fitting_units(str(name or ''))}"
+        )
+    return unit.quantity
 
 
 def _guard(entry: Any, where: str) -> Guard:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from vo2_models.recording import Recording
+from vo2_models.units import SI
 
 from vo2_identification.bags.joint_state import Samples
 from vo2_identification.bags.problems import Problem, limited
@@ -28,10 +29,17 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 
 @dataclass(frozen=True)
 class Converted:
-    """One recording: `name` from the file and, where a table holds several, the series."""
+    """One recording.
+
+    Attributes
+    ----------
+    name : of the file and, where a table holds several, the series
+    units : channel -> SI unit, degC for temperatures
+    """
 
     name: str
     recording: Recording
+    units: Mapping[str, str]
     problems: list[Problem]
 
 
@@ -154,7 +162,8 @@ def _convert(table: Table, series: Series, column_map: ColumnMap, name: str) -> 
                 Problem("nan", table.path, f"{text}; first row {rows[first]}", stamp_ns[first] / 1e9)
             )
     problems.extend(_by_row(find_gaps(table.path, stamp_ns, np.arange(rows.size)), rows))
-    return Converted(name, Recording(stamp_ns / 1e9, values, column_map.device), problems)
+    units = {channel: SI[source.unit.quantity] for channel, source in series.channels.items()}
+    return Converted(name, Recording(stamp_ns / 1e9, values, column_map.device), units, problems)
 
 
 def _values(table: Table, source: Source, column_map: ColumnMap) -> NDArray[np.float64]:

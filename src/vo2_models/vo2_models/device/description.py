@@ -55,6 +55,12 @@ _KELVINS = (10.0, 300.0)
 """Span of a driving temperature [K] that is taken as it is."""
 
 
+_POSSIBLE = (-273.15, 4000.0)
+"""Temperatures of a body [degC]: from absolute zero to where no solid is left."""
+_REACHED = 3.0
+"""Standard deviations by which a transition's middle may lie outside the operating range; next to nothing is inside then."""
+
+
 @dataclass(frozen=True)
 class DeviceParameter(Parameter):
     """A text that names a device, as `preset` takes it; empty only where that is the default."""
@@ -302,9 +308,31 @@ def preset(name: str | Path) -> DeviceDescription:
             f"device: found {text!r}, need one of {', '.join(PRESETS)}, or the path of a device file"
         )
     try:
-        return described(read_device_file(path), str(path))
+        device = described(read_device_file(path), str(path))
+        _check_temperatures(device, str(path))
+        return device
     except ValueError as error:
         raise InputError(str(error)) from error  # in one line, whatever the file holds
+
+
+def _check_temperatures(device: DeviceDescription, where: str) -> None:
+    """Refuse numbers with which the body gets to temperatures that none can have, or not to its transition."""
+    if device.power_gain:
+        return  # its heat goes with a resistance that the file need not tell
+    cold, hot = sorted(device.steady_temperature(drive) for drive in device.operating_range)
+    lowest, highest = _POSSIBLE
+    if not lowest <= cold <= hot <= highest:
+        raise ValueError(
+            f"{where}: body: found {cold:.4g} to {hot:.4g} degC over the operating range, need {lowest:g} to {highest:g} degC: "
+            f"ambient in degC, drive in {device.drive_unit}, gains in K/{device.drive_unit} and K/{device.drive_unit}^2"
+        )
+    middle, deviation = device.heating
+    beyond = _REACHED * deviation
+    if device.tells("transition", "heating") and not cold - beyond <= middle <= hot + beyond:
+        raise ValueError(
+            f"{where}: transition: heating: found {middle:g}, need what the body gets to over the operating range, {cold:.4g} to "
+            f"{hot:.4g} degC: ambient ({device.ambient:g}) and heating in degC, gains that fit them"
+        )
 
 
 def check_model_of(device: str, name: str) -> None:

@@ -61,6 +61,11 @@ def check_document(document: Any, where: str) -> Document:
                 )
     if "operating" in drive and drive["operating"][0] == drive["operating"][1]:
         raise ValueError(f"{where}: drive: operating: found two equal ends, need a range")
+    period, shortest = (found.get("sampling", {}).get(key) for key in ("period", "shortest"))
+    if period is not None and shortest is not None and shortest > period:
+        raise ValueError(
+            f"{where}: sampling: shortest: found {shortest:g}, need at most the period, {period:g} s"
+        )
     body = found.get("body", {})
     if body.get("kind") == "none" and len(body) > 1:
         extra = ", ".join(key for key in body if key != "kind")
@@ -158,6 +163,13 @@ def _text(value: Any, where: str) -> str:
     return str(value)
 
 
+def _word(value: Any, where: str) -> str:
+    word = _text(value, where)
+    if word.split() != [word]:
+        raise ValueError(f"{where}: found {word!r}, need a name without blanks")
+    return word
+
+
 def _one_of(*allowed: str) -> Check:
     def check(value: Any, where: str) -> str:
         if value not in allowed:
@@ -185,29 +197,31 @@ def _number(low: float = -math.inf, *, above: bool = False) -> Check:
     return check
 
 
-def _pair(check: Check, *, rising: bool) -> Check:
+def _pair(check: Check, second: Check | None = None, *, rising: bool = False) -> Check:
+    """Check of two numbers, of which `second` checks the other one where it is given."""
+
     def both(value: Any, where: str) -> tuple[float, float]:
         if not isinstance(value, list | tuple) or len(value) != 2:
             raise ValueError(f"{where}: found {value!r}, need two numbers, [low, high]")
-        first, second = (check(one, where) for one in value)
-        if rising and not first < second:
-            raise ValueError(f"{where}: found {first:g} to {second:g}, need the lower end first")
-        return first, second
+        low, high = check(value[0], where), (second or check)(value[1], where)
+        if rising and not low < high:
+            raise ValueError(f"{where}: found {low:g} to {high:g}, need the lower end first")
+        return low, high
 
     return both
 
 
 _ANY, _POSITIVE, _NOT_NEGATIVE = _number(), _number(0.0, above=True), _number(0.0)
-_RANGE, _STATISTICS = _pair(_ANY, rising=True), _pair(_ANY, rising=False)
+_RANGE, _STATISTICS = _pair(_ANY, rising=True), _pair(_ANY, _NOT_NEGATIVE)
 _KEYS: dict[str, Check] = {
     "schema": _one_of(SCHEMA),
-    "id": _text,
+    "id": _word,
     "drive": _mapping(
         {
             "channel": _text,
             "unit": _text,
             "limits": _RANGE,
-            "operating": _pair(_ANY, rising=False),
+            "operating": _pair(_ANY),
             "safe": _ANY,
         },
         required=("channel", "unit", "limits"),
@@ -232,12 +246,12 @@ _KEYS: dict[str, Check] = {
     ),
     "temperature": _mapping({"channel": _text, "noise": _NOT_NEGATIVE}, required=("channel",)),
     "sensing": _mapping({"from": _text, "to": _text}, required=("from", "to")),
-    "transition": _mapping({"heating": _STATISTICS, "width": _STATISTICS, "offset": _STATISTICS}),
+    "transition": _mapping({"heating": _STATISTICS, "width": _pair(_NOT_NEGATIVE), "offset": _STATISTICS}),
     "film": _mapping(
         {"activation": _POSITIVE, "metal_slope": _NOT_NEGATIVE, "threshold": _POSITIVE},
         required=("activation", "metal_slope", "threshold"),
     ),
-    "structure": _mapping({"length": _POSITIVE, "expansion": _STATISTICS}, required=("length",)),
+    "structure": _mapping({"length": _POSITIVE, "expansion": _pair(_ANY)}, required=("length",)),
     "sampling": _mapping({"period": _POSITIVE, "shortest": _POSITIVE}),
     "magnitudes": _each(_each(_RANGE)),
 }

@@ -167,6 +167,11 @@ def _calibrated(name: str, domains: int) -> np.ndarray:
             break
         step = 1e-6 * np.max(np.abs(found))
         slopes = np.column_stack([(miss(found + step * one) - left) / step for one in np.eye(2)])
+        if np.linalg.matrix_rank(slopes) < len(slopes):
+            raise ValueError(
+                f"device {nominal.id}: found no bending by a transition of {nominal.heating[0]:g} degC over the operating range, "
+                f"{cold:.4g} to {hot:.4g} degC; need one that lies within, and length and range in m"
+            )
         found = found - np.linalg.solve(slopes, left)
     else:
         raise ValueError(f"device {nominal.id}: found no bending that spans {nominal.deflection_extent} m")

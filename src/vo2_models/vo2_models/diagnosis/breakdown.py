@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from vo2_models.device import surrogate_of_temperature
+from vo2_models.device.description import DeviceDescription
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.result import Location
 from vo2_models.numerics.kernel import kernel
 
-__all__ = ["Breakdown", "breakdown", "locate", "one_loop", "turning_points"]
+__all__ = ["Breakdown", "branch_words", "breakdown", "locate", "one_loop", "turning_points"]
 
 Floats = NDArray[np.float64]
 BLOCKS = 40
@@ -51,6 +52,14 @@ class Breakdown:
     floor: float
     moving: tuple[int, int]
     axes: Mapping[str, tuple[Sequence[float] | Sequence[str], Floats]]
+
+
+def branch_words(device: DeviceDescription) -> dict[str, str]:
+    """Return what each branch is called on a device: without a heated body nothing heats, the drive rises and falls."""
+    first, last = device.operating_range
+    ways = ("rising", "falling") if first < last else ("falling", "rising")
+    heating, cooling = ("heating", "cooling") if device.has_body else ways
+    return {"heating": heating, "cooling": cooling, "held": "held"}
 
 
 def breakdown(problem: LinearisedProblem, residual: Floats, *, floor: float = 1.0) -> list[Breakdown]:
@@ -111,7 +120,7 @@ def breakdown(problem: LinearisedProblem, residual: Floats, *, floor: float = 1.
             "temperature": _binned(joined["temperature"], energy, 24),
             "amplitude": _binned(joined["amplitude"], energy, 12),
             "branch": (
-                ("heating", "cooling", "held"),
+                tuple(branch_words(problem.nominal.model.description).values()),
                 np.array([np.sum(energy[joined["heating"] == s]) for s in (1, -1, 0)]),
             ),
             "reversals": (

@@ -18,7 +18,7 @@ from vo2_models.diagnosis.held_out import HeldOut, block_folds, held_out, record
 from vo2_models.diagnosis.hypotheses import Hypothesis
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import Located
-from vo2_models.diagnosis.moved_alone import moved_alone
+from vo2_models.diagnosis.moved_alone import left_by, moved_alone
 from vo2_models.diagnosis.next_experiment import by_hand, propose, without_explanation
 from vo2_models.diagnosis.nonparametric_correction import (
     NonparametricCorrection,
@@ -64,6 +64,8 @@ class Decision:
     held : where what is named stands in the place of moved constants
     taken_up : channels that are that many times the calibration's held-out error from the model as it is, where moved constants
         and loops together take it up and none is told; empty elsewhere
+    alone : moves of few constants that explain by themselves what differs, further than another day may move them, where nothing
+        is named
     """
 
     verdict: Literal["agrees", "drifted", "differs"]
@@ -84,6 +86,7 @@ class Decision:
     ahead: bool = False
     held: Held | None = None
     taken_up: Mapping[str, float] = field(default_factory=dict)
+    alone: Drift | None = None
 
 
 @dataclass(frozen=True)
@@ -174,6 +177,7 @@ def _judged(
                 alone is not None or located.total_excess < limits.channel_excess
             )
             admissible = admissible and not small and len(option.chosen.keys) == 1
+            admissible = admissible and not (alone and _leaves_no_more(problem, alone, option))
             equivalent, ahead = _as_adequate(located, option, found.singles, limits, clock)
         rivals, remaining = option.rivals, option.remaining
         # with a body an effect in the place of constants is judged by itself, below
@@ -249,11 +253,7 @@ def _unnamed(
 ) -> Decision:
     """No name: agreement, moved constants, or an excess that only a correction without a name describes."""
     problem, unnamed = located.problem, None
-    loud = (
-        located.is_large(limits)
-        and located.total_excess > located.left_out
-        and (not located.within_misfit(limits.unlike_misfit) or located.total_excess > limits.far_beyond)
-    )
+    loud = located.is_loud(limits)
     if loud:
         clock.say("shaping what has no name")
         unnamed = fit_nonparametric_correction(problem, located.remaining, block_folds(problem))
@@ -287,6 +287,7 @@ def _unnamed(
         remaining_excess=verdict.remaining, unnamed=unnamed, breakdown=where, rival_pairs=(), proposal=proposal,
         drift=drift, mimics=mimics, adequacy=verdict.adequacy,
         unlike_noise=loud and unnamed is None, taken_up=taken_up,
+        alone=verdict.alone if verdict_word == "differs" and not reading.first_use else None,
     )  # fmt: skip
 
 
@@ -298,10 +299,15 @@ def _moved_alone(
         return None
     if held is None:
         return moved_alone(located.problem, limits)
-    problem, nothing = located.problem, np.zeros(located.problem.origin.size)
-    begin = problem.residual - problem.nuisance.thermal @ problem.origin
-    left = begin - problem.stack(problem.responses(held.option.chosen.effects, nothing))
-    return moved_alone(problem, limits, rival=float(left @ left))
+    problem = located.problem
+    rival = left_by(problem, held.option.chosen.effects, np.zeros(problem.origin.size))
+    return moved_alone(problem, limits, rival=rival)
+
+
+def _leaves_no_more(problem: LinearisedProblem, alone: Drift, option: Option) -> bool:
+    """Whether constants that explain by themselves leave no more than an effect does, loops as the calibration left them."""
+    rival = left_by(problem, option.chosen.effects, np.zeros(problem.origin.size))
+    return left_by(problem, {}, alone.weights) <= rival
 
 
 def _drift(

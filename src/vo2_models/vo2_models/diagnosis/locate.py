@@ -68,12 +68,20 @@ class Located:
         """Whether the excess of all channels, or of one, is more than unchanged devices of the own simulator show."""
         return self.total_excess > limits.excess or max(self.excess.values()) > limits.channel_excess
 
+    def is_loud(self, limits: Limits) -> bool:
+        """Whether it is large beyond what the calibration leads to expect, by its misfit and its worst stretch."""
+        return (
+            self.is_large(limits)
+            and self.total_excess > self.left_out
+            and (not self.within_misfit(limits.unlike_misfit) or self.total_excess > limits.far_beyond)
+        )
+
     def within_misfit(self, limit: float) -> bool:
         """Whether no channel is further from the model than `limit` times what its calibration's held-out parts are."""
         return bool(self.own_misfit) and max(self.own_misfit.values()) < limit
 
 
-def locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
+def locate(reading: Reading, limits: Limits, clock: Clock, *, about: Floats | None = None) -> Located:
     """Build the problem, refit its nuisance parameters, and split what is left along every axis; return all of it.
 
     Where a law misses steep places by more than flat ones, and the recording is not far beyond that, a sample is judged by what
@@ -84,23 +92,25 @@ def locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
     reading : of the recordings
     limits : of the decisions
     clock : told what is being done
+    about : (t,) moves of the constants to begin at, in their spreads; none by default
     """
     even = replace(reading, parts=tuple(replace(part, uneven={}) for part in reading.parts))
-    located = _locate(even, limits, clock)
+    located = _locate(even, limits, clock, about)
     if not any(part.uneven for part in reading.parts) or not located.within_misfit(limits.unlike_misfit):
         return located
     nominal = reading.nominal.with_uneven_noise()
     shapes = open_shapes(nominal) if reading.first_use else loop_shapes(nominal)
-    return _locate(replace(reading, nominal=nominal, shapes=shapes), limits, clock)
+    return _locate(replace(reading, nominal=nominal, shapes=shapes), limits, clock, about)
 
 
-def _locate(reading: Reading, limits: Limits, clock: Clock) -> Located:
+def _locate(reading: Reading, limits: Limits, clock: Clock, about: Floats | None) -> Located:
     """As `locate`, with the noise that the reading has."""
     nominal = reading.nominal
     problem = linearise_problem(
         nominal,
         reading.parts,
         constants=reading.constants,
+        shift=about,
         shapes=reading.shapes,
         refits=reading.first_use,
         say=clock.say,

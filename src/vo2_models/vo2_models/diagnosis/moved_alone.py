@@ -7,6 +7,7 @@ no accident, and the loops have not changed.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,7 +18,7 @@ from vo2_models.diagnosis.drift import Drift, drift_of
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.problem import LinearisedProblem
 
-__all__ = ["moved_alone", "nearest_constant"]
+__all__ = ["left_by", "moved_alone", "nearest_constant"]
 
 Floats = NDArray[np.float64]
 MOST = 3
@@ -26,6 +27,11 @@ _TRIED, _ROUNDS, _HALVES = 3, 6, 4
 """Constants tried at each place, steps of each search, and halvings of a step that leads nowhere."""
 _ENOUGH = 1e-3
 """Relative drop of the squared residual with which a search ends."""
+_LAGS = ("thermal.time_constant", "driver.dead_time")
+_LONGER = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+"""Multiples of a lag from which it is searched too: one far below a sample changes nothing by small steps."""
+_SEEN = 0.5
+"""Sample periods that the lag of a drive which heats nothing must have moved by: how it goes on between samples is not known."""
 
 
 @dataclass(frozen=True)
@@ -56,15 +62,28 @@ class _Search:
             found.append((here - self.left(shift + step * np.eye(shift.size)[k])) / step)
         return np.stack(found, axis=1)
 
+    def start(self, shift: Floats, place: int) -> Floats:
+        """The move (t,) that the search of a constant begins at: of a lag, the best of many times what it is."""
+        constant = self.problem.constants[place]
+        tried = [shift]
+        for factor in _LONGER if constant.name in _LAGS else ():
+            tried.append(shift.copy())
+            tried[-1][place] = (factor - 1.0) * constant.value / constant.spread
+        return min(tried, key=lambda one: float(self.left(one) @ self.left(one)))
+
     def likely(self, shift: Floats, places: list[int], here: Floats) -> list[int]:
         """Those few of the places whose first steps promise to leave least, the likeliest first."""
         slopes = self.columns(shift, places, here)
         drops = (slopes.T @ here) ** 2 / np.maximum(np.sum(slopes**2, axis=0), 1e-300)
+        for k, place in enumerate(places):
+            there = self.left(self.start(shift, place))
+            drops[k] = max(drops[k], here @ here - there @ there)
         return [places[k] for k in np.argsort(-drops)[:_TRIED]]
 
     def searched(self, start: Floats, places: list[int]) -> tuple[Floats, Floats]:
         """Where Gauss's and Newton's steps of some constants lead, and the residual there."""
-        shift, here = start, self.left(start)
+        shift = self.start(start, places[-1])
+        here = self.left(shift)
         for _ in range(_ROUNDS):
             along = np.linalg.lstsq(self.columns(shift, places, here), here, rcond=None)[0]
             before = float(here @ here)
@@ -78,6 +97,22 @@ class _Search:
             if before - here @ here < _ENOUGH * before:
                 break
         return shift, here
+
+
+def left_by(
+    problem: LinearisedProblem, effects: Mapping[str, Mapping[str, float | str]], shift: Floats
+) -> float:
+    """Return the squared whitened residual of the simulation with effects and moved constants, loops as calibrated.
+
+    Parameters
+    ----------
+    problem : without effects
+    effects : `{id: {parameter: value}}`
+    shift : (t,) move of each constant in its spreads
+    """
+    begin = problem.residual - problem.nuisance.thermal @ problem.origin
+    left = begin - problem.stack(problem.responses(effects, shift))
+    return float(left @ left)
 
 
 def nearest_constant(problem: LinearisedProblem) -> tuple[Floats, float]:
@@ -157,7 +192,9 @@ def moved_alone(problem: LinearisedProblem, limits: Limits, *, rival: float = 0.
         drift = drift_to(*trials[best])
         variance = np.diag(drift.covariance)
         # a constant that changes nothing here has no deviation, and has not moved
-        surely = np.all((drift.steps**2 >= limits.sigmas**2 * variance) & (variance > 0.0))
+        surely = np.all((drift.steps**2 >= limits.sigmas**2 * variance) & (variance > 0.0)) and _seen(
+            problem, drift
+        )
         if least > (1.0 - limits.alone_gain) * (here @ here) or not surely:
             break
         most = least * (1.0 + limits.rival / problem.count)
@@ -170,6 +207,17 @@ def moved_alone(problem: LinearisedProblem, limits: Limits, *, rival: float = 0.
     if alone is None or here @ here > most:
         return None
     return _with_free_loops(problem, alone)
+
+
+def _seen(problem: LinearisedProblem, drift: Drift) -> bool:
+    """Whether each lag, on a device without body, has moved by what samples can show."""
+    if problem.nominal.model.description.has_body:
+        return True
+    least = _SEEN * min(part.dt for part in problem.parts)
+    lags = [
+        abs(step) * c.spread for c, step in zip(drift.constants, drift.steps, strict=True) if c.name in _LAGS
+    ]
+    return all(lag >= least for lag in lags)
 
 
 def _with_free_loops(problem: LinearisedProblem, alone: Drift) -> Drift:

@@ -65,6 +65,8 @@ REACH = 4.0
 """Standard deviations of the centre on both sides that another basis reaches over."""
 FAR = 1e15
 """Value at which a simulation that runs away is held: beyond those of any instrument, also in pascals or counts."""
+_LEAST = 1e-30
+"""Value below which no logarithm is taken: below those of any response, also of a capacitance in farad."""
 THERMAL = {
     "driver.dead_time": Coefficient.DEAD_TIME,
     "thermal.ambient": Coefficient.AMBIENT,
@@ -341,7 +343,7 @@ class Nominal:
             if channel == TIP_DEFLECTION:
                 values = given.get("deflection.gain", 1.0) * values + given.get("deflection.zero", 0.0)
             if channel == RESISTANCE:
-                values = np.log10(np.maximum(values, 1e-3)) + (
+                values = np.log10(np.maximum(values, _LEAST)) + (
                     given.get("resistance.gain", 1.0) - 1.0
                 ) / np.log(10)
             found[channel] = values

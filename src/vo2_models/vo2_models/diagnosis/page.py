@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from vo2_models.diagnosis.breakdown import Breakdown
+from vo2_models.diagnosis.breakdown import Breakdown, branch_words
 from vo2_models.diagnosis.explain import Explanation
 from vo2_models.diagnosis.nominal import JUDGED_UNIT
 from vo2_models.diagnosis.report import course_of, moved_in_place
@@ -16,6 +16,7 @@ from vo2_models.diagnosis.stages import Study
 from vo2_models.page.figures import figure_html, new_figure
 from vo2_models.page.page import page, paragraph, section, subsection, table
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
+from vo2_models.units import shown_unit
 
 __all__ = ["report_page"]
 
@@ -64,7 +65,8 @@ def _labels(study: Study) -> dict[str, tuple[str, str, float]]:
         unit = device.units[channel]
         if own == channel and unit == UNITS[channel]:
             continue
-        found[channel] = (own, f"residual of\n{own} / {unit}", 1.0)
+        unit, factor = shown_unit(unit)
+        found[channel] = (own, f"residual of\n{own} / {unit}", factor)
         if channel == RESISTANCE:
             found[channel] = (own, f"residual of\n1000 log10({own}/{unit})", 1e3)
     return found
@@ -89,12 +91,12 @@ def _agreement(study: Study) -> str:
 
 def _where(study: Study, diagnosis: Diagnosis) -> str:
     labels, device = _labels(study), study.located.problem.nominal.model.description
-    own = _own_labels(study)
+    own, branches = _own_labels(study), branch_words(device)
     rows = [
         (
             own[p.signal][0],
             f"{100 * p.share:.0f}\u00a0%",
-            p.branch,
+            branches.get(p.branch, p.branch),
             "-"
             if p.temperature_degC is None
             else f"{p.temperature_degC[0]:.1f} to {p.temperature_degC[1]:.1f}",

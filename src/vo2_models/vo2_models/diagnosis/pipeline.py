@@ -92,25 +92,108 @@ def study(
     # the cores run fits in parallel: threads inside BLAS would only wait for each other
     with threadpool_limits(1, user_api="blas"):
         try:
-            reading = read(
-                [*calibration, *recordings], nominal, names, limits, clock, calibrations=len(calibration)
-            )
+            answer = _study(recordings, calibration, nominal, names, limits, clock)
+            if _may_be_of_some_only(answer):
+                answer = _of_some(answer, [*calibration, *recordings], nominal, limits, clock)
         except Unusable as error:
             raise Unusable(nominal.model.description.in_own_names(str(error))) from error
-        located = locate(reading, limits, clock)
-        found = search(located, limits, clock, one_loop=reading.one_loop, first_use=reading.first_use)
+    return replace(answer, seconds=time.perf_counter() - began)
+
+
+def _study(
+    recordings: Sequence[Recording],
+    calibration: Sequence[Recording],
+    nominal: Nominal,
+    names: Sequence[str],
+    limits: Limits,
+    clock: Clock,
+) -> Study:
+    """The five stages over all recordings, in each of which the same acts."""
+    reading = read([*calibration, *recordings], nominal, names, limits, clock, calibrations=len(calibration))
+    located = locate(reading, limits, clock)
+    found = search(located, limits, clock, one_loop=reading.one_loop, first_use=reading.first_use)
+    decision = decide(located, found, reading, limits, clock)
+    answer = Study(reading, located, found, decision, limits, 0.0)
+    decision = told_as(decision, equally_likely(answer))
+    answer = replace(answer, decision=decision)
+    while reading.first_use and decision.chosen is not None and distance(answer) > limits.farther:
+        # the loops that were fitted along make up for it: no model that has it comes near the recordings
+        options = tuple(o for o in found.options if o.chosen.keys != decision.chosen.keys)
+        found = replace(found, options=options)
         decision = decide(located, found, reading, limits, clock)
-        answer = Study(reading, located, found, decision, limits, 0.0)
+        answer = replace(answer, search=found, decision=decision)
         decision = told_as(decision, equally_likely(answer))
         answer = replace(answer, decision=decision)
-        while reading.first_use and decision.chosen is not None and distance(answer) > limits.farther:
-            # the loops that were fitted along make up for it: no model that has it comes near the recordings
-            options = tuple(o for o in found.options if o.chosen.keys != decision.chosen.keys)
-            found = replace(found, options=options)
-            decision = decide(located, found, reading, limits, clock)
-            answer = replace(answer, search=found, decision=decision)
-            decision = told_as(decision, equally_likely(answer))
-            answer = replace(answer, decision=decision)
-        if unlikely(answer):
-            decision = without_a_name(decision, located, found, reading, limits, clock)
-    return replace(answer, decision=decision, seconds=time.perf_counter() - began)
+    if unlikely(answer):
+        answer = replace(answer, decision=without_a_name(decision, located, found, reading, limits, clock))
+    alone = answer.decision.alone
+    if alone is None or reading.nominal.model.description.has_body:
+        return answer
+    # on a device without body a constant may be another one altogether, as its lag is with another amplifier
+    reading, moves = reading.with_moved(alone)
+    located = locate(reading, limits, clock, about=moves)
+    if located.is_loud(limits):
+        return answer
+    found = search(located, limits, clock, one_loop=reading.one_loop, first_use=False)
+    decision = decide(located, found, reading, limits, clock)
+    return Study(reading, located, found, decision, limits, 0.0)
+
+
+def _may_be_of_some_only(answer: Study) -> bool:
+    """Whether what is told may have come between the recordings: no name, several, or one that goes on and off or drifts."""
+    chosen = answer.decision.chosen
+    if answer.decision.verdict != "differs":
+        return False
+    return (
+        chosen is None
+        or len(chosen.keys) > 1
+        or any(h.key in chosen.courses or h.switches for h in chosen.hypotheses)
+    )
+
+
+def _of_some(
+    together: Study, recordings: Sequence[Recording], nominal: Nominal, limits: Limits, clock: Clock
+) -> Study:
+    """The study of those recordings that do not agree by themselves, or of each, where that has an answer.
+
+    Where one that does not agree is a calibration, what differs was there all along.
+    """
+    parts = together.reading.parts
+    if len(parts) < 2:
+        return together
+
+    def of(some: Sequence[int]) -> Study:
+        chosen, names = [recordings[k] for k in some], [parts[k].name for k in some]
+        return _study(chosen, (), nominal, names, limits, clock)
+
+    agrees = []
+    for recording, part in zip(recordings, parts, strict=True):
+        alone = read([recording], nominal, [part.name], limits, clock)
+        agrees.append(not alone.evident and not locate(alone, limits, clock).is_loud(limits))
+    first = together.reading.calibrations
+    if not all(agrees[:first]):
+        return together
+    loud = [k for k, quiet in enumerate(agrees) if not quiet]
+    some = [of(loud)] if 0 < len(loud) < len(parts) else []
+    if some and _has_an_answer(some[0]):
+        answers = some
+    elif len(loud) == 1:
+        answers = []
+    else:  # a day of its own for each: what constants take up by themselves differs from one to the next
+        answers = [of([k]) for k in loud or range(first, len(parts))]
+    if not any(map(_has_an_answer, answers)):
+        answers = some if together.decision.chosen is None and not first else []
+    if not answers:
+        return together
+    answer, *others = sorted(answers, key=_how_far, reverse=True)
+    agreeing = tuple(part.name for part, quiet in zip(parts, agrees, strict=True) if quiet and loud)
+    return replace(answer, agreeing=agreeing, apart=tuple(others))
+
+
+def _has_an_answer(answer: Study) -> bool:
+    return answer.decision.chosen is not None or answer.decision.verdict == "drifted"
+
+
+def _how_far(answer: Study) -> tuple[bool, bool, float]:
+    """The order of studies: a name before moved constants before none, then by how much is beyond the noise."""
+    return answer.decision.chosen is not None, _has_an_answer(answer), answer.located.total_excess

@@ -14,6 +14,7 @@ from scipy.optimize import minimize_scalar
 from vo2_models.diagnosis.breakdown import one_loop
 from vo2_models.diagnosis.check import SHORTEST, Finding, Unusable, check_recording
 from vo2_models.diagnosis.consistency import check_consistency
+from vo2_models.diagnosis.drift import Drift
 from vo2_models.diagnosis.evident import Evident, evident_effects, untold_steps, without_lines
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.loop_shape import LoopShape, loop_shapes, open_shapes
@@ -29,6 +30,8 @@ from vo2_models.diagnosis.nuisance import (
 )
 from vo2_models.diagnosis.part import Part, prepare
 from vo2_models.diagnosis.progress import Clock
+from vo2_models.identification.loop_law import root_mean_square
+from vo2_models.identification.rig_start import FURTHER_OFF, MOST_UNKNOWN, known_from
 from vo2_models.identification.steepness import unevenness
 from vo2_models.recording import HEATER_CURRENT, Recording, aligned
 from vo2_models.units import stamp_in_words
@@ -80,6 +83,22 @@ class Reading:
     def first_use(self) -> bool:
         """Whether the effect may have been there all along, so that calibrations are among the recordings."""
         return self.calibrations > 0
+
+    def with_moved(self, drift: Drift) -> tuple[Reading, Floats]:
+        """Return the reading whose constants may have moved as far as they have, and these moves (t,) in their new spreads.
+
+        Parameters
+        ----------
+        drift : moves of the constants
+        """
+        further = np.maximum(1.0, np.abs(drift.weights))
+        constants = tuple(
+            replace(c, spread=c.spread * float(f), straight=c.straight / float(f))
+            for c, f in zip(self.constants, further, strict=True)
+        )
+        # where the law is steep along the simulation without these moves is not where it is with them
+        parts = tuple(replace(part, uneven={}) for part in self.parts)
+        return replace(self, constants=constants, parts=parts), drift.weights / further
 
 
 def read(
@@ -141,6 +160,9 @@ def read(
     findings += stamps
     started = [_detect_initial_state(part, corrected) for part in parts]
     started = [(_with_unevenness(part, response, nominal), response) for part, response in started]
+    if not nominal.model.heats:
+        started, unknown = _without_unknown_starts(started)
+        findings += unknown
     started, alone = _without_outliers(started)
     findings += alone
     check_consistency(started, nominal, calibrations)
@@ -278,6 +300,31 @@ def _with_unevenness(part: Part, response: Response, nominal: Nominal) -> Part:
             for c, sensor in known.items()
         },
     )
+
+
+def _without_unknown_starts(
+    started: Sequence[tuple[Part, Response]],
+) -> tuple[list[tuple[Part, Response]], list[Finding]]:
+    """Leave out what comes before the drive has been at an end of its range, where the model is far further off than later."""
+    found, told = [], []
+    for part, response in started:
+        known = known_from(part.current)
+        until = np.arange(part.size) < known
+        valid = dict(part.valid)
+        for channel in part.channels if 0 < known < MOST_UNKNOWN * part.size else ():
+            gap = np.where(valid[channel], part.observed[channel] - response.channels[channel], np.nan)
+            first, rest = root_mean_square(gap[until]), root_mean_square(gap[~until])
+            if first > FURTHER_OFF * rest:
+                valid[channel] = valid[channel] & ~until
+                told.append(
+                    Finding(
+                        "start",
+                        f"{part.name}: {channel} begins at a state that the drive does not show, relaxed or demagnetised for "
+                        f"one: the first {known} samples, until the drive has been at an end of its range, are not judged",
+                    )
+                )
+        found.append((replace(part, valid=valid), response))
+    return found, told
 
 
 def _without_outliers(

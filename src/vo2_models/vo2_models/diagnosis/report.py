@@ -90,7 +90,9 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
         fit=_fit(study),
         indistinguishable=pairs,
         next_experiment=decision.proposal,
-        summary=_device_in_words(study) + _shown_in_words(study, shown) + _summary(study, effects, pairs),
+        summary=_of_some_in_words(
+            study, _device_in_words(study) + _shown_in_words(study, shown) + _summary(study, effects, pairs)
+        ),
         limits=[
             *limits_in_words(study.reading.findings),
             *_by_recording(study),
@@ -744,6 +746,28 @@ def _by_recording(study: Study) -> list[str]:
     if excess.max() > 10.0 * max(excess.min(), study.limits.excess):
         text += "; some differ and others do not: diagnose them one by one"
     return [text]
+
+
+def _of_some_in_words(study: Study, summary: str) -> str:
+    """The summary, with which recordings it is of, and what is said of the others, where it is not of all."""
+    if study.agreeing:
+        *some, last = study.agreeing
+        names = f"{', '.join(some)} and {last} agree" if some else f"{last} agrees"
+        others = " and ".join(name for one in (study, *study.apart) for name in _names(one))
+        summary = (
+            f"{names} with the simulation, moved constants apart: what differs is in {others} only. {summary}"
+        )
+    for other in study.apart:
+        summary += f" {' and '.join(_names(other))}, by itself: {assemble_diagnosis(other).summary}"
+    if not study.apart:
+        return summary
+    return (
+        f"Recordings differ in their own ways; all else here is of {' and '.join(_names(study))}. {summary}"
+    )
+
+
+def _names(study: Study) -> list[str]:
+    return [part.name for part in study.located.problem.parts]
 
 
 def _of_what(study: Study) -> str:

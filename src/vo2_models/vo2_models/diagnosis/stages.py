@@ -27,6 +27,9 @@ class Study:
     decision : what is named, and how well it does
     limits : with which it was decided
     seconds : spent
+    agreeing : names of recordings that agree with the simulation by themselves, moved constants apart, while others differ:
+        all else is of those others
+    apart : studies of recordings of which each has an answer of its own, while all else is of one that is in none of them
     """
 
     reading: Reading
@@ -35,6 +38,8 @@ class Study:
     decision: Decision
     limits: Limits
     seconds: float
+    agreeing: tuple[str, ...] = ()
+    apart: tuple[Study, ...] = ()
 
     @property
     def shown(self) -> tuple[Evident, ...]:

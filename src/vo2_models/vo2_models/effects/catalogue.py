@@ -22,6 +22,7 @@ from types import ModuleType
 from typing import Any
 
 from vo2_models.effects.record import HOOKS, PLAIN, Effect
+from vo2_models.effects.trial import try_functions
 from vo2_models.io import one_line
 
 __all__ = [
@@ -36,7 +37,7 @@ __all__ = [
 ]
 
 _OURS = "vo2_models.effects."
-_MACHINERY = ("catalogue", "magnitude", "record", "skeleton")
+_MACHINERY = ("catalogue", "magnitude", "record", "skeleton", "trial")
 VARIABLE = "VO2_EFFECTS"
 """Environment variable with folders of effect files; a variable, so that processes that are started have it too."""
 
@@ -113,7 +114,7 @@ def load_effect(module: ModuleType) -> Effect:
 
     Raises
     ------
-    ValueError : no EFFECT in it, another id than the file's name, or whatever `Effect.check` finds.
+    ValueError : no EFFECT in it, another id than the file's name, or whatever `Effect.check` and `try_functions` find.
     """
     file = str(module.__file__)
     record = getattr(module, "EFFECT", None)
@@ -126,6 +127,7 @@ def load_effect(module: ModuleType) -> Effect:
     complete = replace(record, hooks=hooks, file=file)
     try:
         complete.check()
+        try_functions(complete)
     except (TypeError, AttributeError) as error:
         raise ValueError(
             f"{file}: EFFECT: found a value of another type than Effect says ({error})"
@@ -142,7 +144,7 @@ def check_hooks(record: Effect) -> None:
 
     Raises
     ------
-    ValueError : a hook that does not compile; one line.
+    ValueError : a hook that does not compile, or returns nothing on one of its branches; one line.
     """
     import numba
 
@@ -158,14 +160,19 @@ def check_hooks(record: Effect) -> None:
             else numba.float64
             for argument in inspect.signature(function).parameters
         ]
+        compiled = numba.njit(function)
         try:
-            numba.njit(function).compile(tuple(kinds))
+            compiled.compile(tuple(kinds))
         except Exception as error:  # numba raises whatever the code makes it stumble over
             found = next((line for line in str(error).splitlines() if "rror: " in line), str(error))
             raise ValueError(
                 f"{record.file}: hook {name}: cannot be compiled ({one_line(found, 300)}); need plain arithmetic on its "
                 "arguments"
             ) from error
+        if isinstance(compiled.nopython_signatures[0].return_type, numba.types.Optional):
+            raise ValueError(
+                f"{record.file}: hook {name}: found None on one of its ways, need a value on each"
+            )
 
 
 @cache

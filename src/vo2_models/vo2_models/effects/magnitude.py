@@ -7,6 +7,7 @@ span of its drive, and so on; a unit such as K/A^2 is taken apart.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from vo2_models.device.description import DeviceDescription
     from vo2_models.effects.record import Effect
 
-__all__ = ["NEEDS", "lacks", "magnitudes", "natural_scale"]
+__all__ = ["NEEDS", "lacks", "magnitudes", "natural_scale", "unit_parts"]
 
 Ranges = Mapping[str, tuple[float, float]]
 
@@ -56,6 +57,31 @@ def lacks(effect: Effect, device: DeviceDescription) -> str:
     return ", ".join(missing)
 
 
+_BASES = ("1", "rad", "choice", "s", "K", "A", "ohm", "m", "degC", "Hz", "S", "channel unit")
+"""What a unit is made of; `natural_scale` knows the size of each on any device."""
+
+
+def unit_parts(unit: str) -> list[tuple[str, int]]:
+    """Return (base unit, power) of each part of a unit text.
+
+    Parameters
+    ----------
+    unit : products and quotients, such as K/A^2 or A^2 ohm/K
+
+    Raises
+    ------
+    ValueError : a part that no device has a size of.
+    """
+    found = []
+    for sign, side in zip((1, *[-1] * unit.count("/")), unit.split("/"), strict=True):
+        for part in re.findall(r"channel unit|\S+", side) or [side]:
+            match = re.fullmatch(r"([^^]+)(?:\^(\d+))?", part)
+            if match is None or match[1] not in _BASES:
+                raise ValueError(f"unit: found {unit!r}, need parts of {', '.join(_BASES)}")
+            found.append((match[1], sign * int(match[2] or 1)))
+    return found
+
+
 def natural_scale(unit: str, device: DeviceDescription, signal: str = "") -> float:
     """Return the size of a unit on a device: the product of the sizes of its parts.
 
@@ -89,15 +115,8 @@ def natural_scale(unit: str, device: DeviceDescription, signal: str = "") -> flo
         TIP_DEFLECTION: size["m"],
         STAGE_TEMPERATURE: size["K"],
     }
-    size["channel"] = spans.get(signal, np.nan)
-    above, *below = unit.replace("channel unit", "channel").split("/")
-    scale = 1.0
-    for sign, part in ((1, above), *((-1, each) for each in below)):
-        match = re.fullmatch(r"(\w+)(?:\^(\d+))?", part)
-        if match is None or match[1] not in size:
-            raise ValueError(f"unit: found {unit!r}, need parts of {', '.join(size)}")
-        scale *= size[match[1]] ** (sign * int(match[2] or 1))
-    return scale
+    size["channel unit"] = spans.get(signal, np.nan)
+    return math.prod(size[base] ** power for base, power in unit_parts(unit))
 
 
 def magnitudes(effect: Effect, device: DeviceDescription, signal: str = "") -> Ranges:

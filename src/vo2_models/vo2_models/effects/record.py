@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from vo2_models.effects.magnitude import NEEDS, lacks, magnitudes
+from vo2_models.effects.magnitude import NEEDS, lacks, magnitudes, unit_parts
 from vo2_models.parameters import Parameter
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
@@ -153,7 +153,8 @@ ADVANCE: Mapping[str, Mapping[str, str]] = {
     "structure": {"deflection": "m", "period": "s"},
     "sensor": {"value": "unit", "period": "s", "sample": "1"},
 }
-"""Stage -> what `advance`, which moves the states on by one step, can take besides parameters and states."""
+"""Stage -> what `advance`, which moves the states on by one step, can take besides parameters and states. It returns the states
+of one number, in the order of `Effect.states`; those of several it changes in `memory`."""
 PLAIN = ("prepare", "evident", "line")
 """Functions of an effect's file that are not compiled: `prepare`, see `derived`, and of an effect on one signal, that is not
 fitted where it is not seen, `evident` or `line`. `evident` takes the values (n,) that were measured, in the channel's unit,
@@ -169,26 +170,11 @@ SETTLED: Mapping[str, Mapping[str, str]] = {
     "structure": {"deflection": "m"},
     "sensor": {"value": "unit"},
 }
-"""Stage -> what `settled`, which returns the states after a long rest, can take besides parameters."""
+"""Stage -> what `settled`, which returns all states after a long rest in the order of `Effect.states`, can take besides
+parameters; a state of several numbers may rest at one."""
 
 
 _CHANNELS = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, STAGE_TEMPERATURE)
-_TRIED: Mapping[str, Mapping[str, float]] = {
-    "driver": {"current": 5e-3, "previous": 5e-3, "time": 1.0, "period": 1e-3},
-    "terminals": {"value": 1e4, "current": 5e-3, "time": 1.0, "film": 60.0},
-    "structure": {"deflection": 1e-5, "period": 1e-3, "film": 60.0, "fraction": 0.5},
-    "sensor": {"value": 2.0, "time": 1.0, "period": 1e-3, "sample": 10.0, "current": 5e-3},
-}
-"""Stage -> quantities with which its hooks are tried."""
-_SAME = {
-    "drive": "current", "delay": "", "terminals": "value", "bending": "", "structure": "deflection", "sensor": "value",
-    "converter": "value",
-}  # fmt: skip
-"""Hook -> quantity that it gives back while the effect is off; nothing stands for 0."""
-_SEVERAL = {"loss": 2, "body": 2}
-"""Hook -> how many numbers it gives where that is not one."""
-_ROUNDING = 1e-12
-_NUMBER = (int, float, np.number)
 
 
 @dataclass(frozen=True)
@@ -357,6 +343,10 @@ class Effect:
                 raise ValueError(
                     f"{where}: parameter {p.name}: found no unit, need an SI unit text, 1 for a number"
                 )
+            try:
+                unit_parts(p.unit)
+            except ValueError as error:
+                raise ValueError(f"{where}: parameter {p.name}: {error}") from error
             if p.lower is None or p.upper is None or not p.lower < p.upper:
                 raise ValueError(
                     f"{where}: parameter {p.name}: found bounds {p.lower} to {p.upper}, need lower < upper"
@@ -371,11 +361,7 @@ class Effect:
                 raise ValueError(
                     f"{where}: channels: found {channel!r}, need a tuple of some of {', '.join(_CHANNELS)}"
                 )
-        for key, ranges in self.typical.items():
-            if strange := sorted(set(ranges) - {p.name for p in self.parameters}):
-                raise ValueError(
-                    f"{where}: typical: {key}: found {', '.join(strange)}, need parameters of the effect"
-                )
+        self._check_typical(where)
         for need in self.needs:
             if need not in NEEDS:
                 raise ValueError(f"{where}: needs: found {need!r}, need some of {', '.join(NEEDS)}")
@@ -384,6 +370,8 @@ class Effect:
                 raise ValueError(f"{where}: {name}: found no signal, need an effect that sits on one channel")
         own = {p.name for p in self.parameters}
         for state in self.states:
+            if state.size < 1:
+                raise ValueError(f"{where}: state {state.name}: found size {state.size}, need 1 or more")
             if state.settled is None and "settled" not in self.hooks:
                 raise ValueError(
                     f"{where}: state {state.name}: found no settled value, need a number or a function settled"
@@ -415,34 +403,30 @@ class Effect:
                         f"{where}: hook {name}: found the argument {argument!r}, need some of "
                         f"{', '.join([*takes, *sorted(known)])}"
                     )
-        self._check_neutral(where)
 
-    def _check_neutral(self, where: str) -> None:
-        """Raise where a hook without memory gives no number, or changes something while every parameter is neutral."""
-        for name, hook in self.hooks.items():
-            given = {"course": 0.0, **_TRIED.get(self.stage, {}), **self.neutral()}
-            arguments = list(inspect.signature(hook).parameters)
-            if name not in HOOKS or not set(arguments) <= set(given):
-                continue
-            try:
-                found = hook(*(given[argument] for argument in arguments))
-            except (ArithmeticError, ValueError):
-                continue  # an effect that is off is not run, so that its hook need not be defined there
-            except Exception as error:
+    def _check_typical(self, where: str) -> None:
+        """Raise where `typical` holds no magnitude that can be drawn, or names what no device or parameter has."""
+        from vo2_models.device.description import PRESETS
+
+        place, known = f"{where}: typical", {p.name: p for p in self.parameters}
+        if not any(self.typical.values()):
+            raise ValueError(
+                f"{place}: found no range, need one of a parameter on one of {', '.join(PRESETS)}"
+            )
+        for key, ranges in self.typical.items():
+            device, colon, signal = key.partition(":")
+            if device not in PRESETS or (colon and not (self.signal and signal in self.channels)):
                 raise ValueError(
-                    f"{where}: hook {name}: cannot be run ({type(error).__name__}: {error})"
-                ) from error
-            numbers = found if isinstance(found, tuple) else (found,)
-            if len(numbers) != _SEVERAL.get(name, 1) or not all(isinstance(one, _NUMBER) for one in numbers):
-                raise ValueError(
-                    f"{where}: hook {name}: found {found!r} with neutral parameters, need {HOOKS[name].gives}"
+                    f"{place}: found {key!r}, need one of {', '.join(PRESETS)}; of an effect on one channel with :CHANNEL"
                 )
-            same = given.get(_SAME.get(name, ""), 0.0)
-            if name in _SAME and abs(float(numbers[0]) - same) > _ROUNDING * abs(same):
-                raise ValueError(
-                    f"{where}: hook {name}: found {float(numbers[0]):g} of {same:g} with neutral parameters, need {same:g}: an "
-                    "effect that is off changes nothing"
-                )
+            if strange := sorted(set(ranges) - set(known)):
+                raise ValueError(f"{place}: {key}: found {', '.join(strange)}, need parameters of the effect")
+            for name, pair in ranges.items():
+                lower, upper = known[name].lower, known[name].upper
+                if len(pair) != 2 or not (pair[0] > 0.0 and lower <= pair[0] <= pair[1] <= upper):  # type: ignore[operator]
+                    raise ValueError(
+                        f"{place}: {key}: {name}: found {pair}, need (low, high) above 0 and within {lower:g} to {upper:g}"
+                    )
 
 
 def constant_of(

@@ -19,6 +19,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
+from functools import wraps
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -67,6 +68,20 @@ class Law(ABC):
     sweep: ClassVar[Any]
     described: ClassVar[Mapping[str, tuple[str, str]]]
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Check the word that `initial_memory` is given, so that no law takes a misspelt one for the other end."""
+        super().__init_subclass__(**options)
+        own = cls.__dict__.get("initial_memory")
+        if own is None:
+            return
+
+        @wraps(own)
+        def checked(self: Law, saturation: Saturation = "lower", **more: Any) -> Floats:
+            side_of(saturation)
+            return own(self, saturation, **more)
+
+        cls.initial_memory = checked  # type: ignore[method-assign]
+
     @property
     @abstractmethod
     def packed(self) -> Floats:
@@ -79,7 +94,12 @@ class Law(ABC):
 
     @abstractmethod
     def initial_memory(self, saturation: Saturation = "lower") -> Floats:
-        """Return the memory (memory_size,) far in saturation, from where any input comes next."""
+        """Return the memory (memory_size,) far in saturation, from where any input comes next.
+
+        Raises
+        ------
+        ValueError : another word than lower or upper.
+        """
 
     @property
     @abstractmethod

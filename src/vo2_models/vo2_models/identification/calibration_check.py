@@ -18,8 +18,11 @@ from vo2_models.recording import (
     RESISTANCE,
     Recording,
 )
+from vo2_models.self_sensing.scheme import self_sensing
+from vo2_models.units import shown_unit
 
 if TYPE_CHECKING:
+    from vo2_models.device.model import DeviceModel
     from vo2_models.identification.device_fit import FitResult
 
 __all__ = ["check_calibration", "judge_fit", "noise_level"]
@@ -131,9 +134,8 @@ def judge_fit(result: FitResult, recordings: Sequence[Recording]) -> list[str]:
         name = device.names[channel]
         values = np.concatenate([judged(channel, r[channel]) for r in recordings if channel in r])
         values = values[np.isfinite(values)]
-        unit, factor = "log10 ohm" if channel == RESISTANCE else device.units[channel], 1.0
-        if unit == "m":
-            unit, factor = "um", 1e6
+        unit, factor = shown_unit(device.units[channel])
+        unit = f"log10 {unit}" if channel == RESISTANCE else unit
         explained = 1.0 - sensor.residual**2 / max(float(np.var(values)), 1e-300)
         size = f"{factor * sensor.residual:.3g} {unit} r.m.s. are left of a span of {factor * np.ptp(values):.3g}"
         if explained < _LEAST_EXPLAINED:
@@ -164,7 +166,16 @@ def judge_fit(result: FitResult, recordings: Sequence[Recording]) -> list[str]:
                 f"{name}: {size}, at a noise of {factor * noise:.2g}: what the law misses{_where(result, channel)}; diagnose "
                 "will not tell changes of less than about twice that from it"
             )
-    return notes
+    return notes + _not_unique(result.model)
+
+
+def _not_unique(model: DeviceModel) -> list[str]:
+    """Say that the linear response cannot be estimated from the log10 one; nothing where no scheme can be built of the model."""
+    try:
+        doubt = self_sensing("composite", model.to_parameters()).doubt
+    except ValueError:
+        return []
+    return [f"self-sensing: {doubt}"] if doubt else []
 
 
 def _where(result: FitResult, channel: str) -> str:
@@ -179,10 +190,15 @@ def _where(result: FitResult, channel: str) -> str:
     if np.count_nonzero(moving) < _TOLD:
         return ""
     fast = np.abs(rate) > np.median(np.abs(rate[moving]))
+    device, ways = result.model.description, ["while heating", "while cooling"]
+    if not device.has_body:
+        first, last = device.operating_range
+        up, down = ("rises", "falls") if first < last else ("falls", "rises")
+        ways = [f"while {device.drive_channel} {way}" for way in (up, down)]
     found = []
     for one, other, words in (
-        (rate > 0.0, rate < 0.0, ("while heating", "while cooling")),
-        (fast, ~fast, ("at the higher rates", "at the lower rates")),
+        (rate > 0.0, rate < 0.0, ways),
+        (fast, ~fast, ["at the higher rates", "at the lower rates"]),
     ):
         sides = [
             float(np.mean(residual[moving & side] ** 2)) for side in (one, other) if np.any(moving & side)

@@ -197,7 +197,7 @@ class Problem:
             out = simulation.run(grid.current, dt=grid.dt, state=state)
             one = {name: out[:, CHANNELS.index(name)] for name in self.levels if name in grid.measured}  # type: ignore[union-attr]
             if RESISTANCE in one:
-                one[RESISTANCE] = -np.log10(np.maximum(one[RESISTANCE], 1e-12))
+                one[RESISTANCE] = -np.log10(np.maximum(one[RESISTANCE], 1e-30))
             found.append(one)
         return found
 

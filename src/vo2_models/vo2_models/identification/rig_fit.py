@@ -49,6 +49,7 @@ from vo2_models.identification.rig_dynamics import (
 )
 from vo2_models.identification.rig_heat import RigHeat, choose_heat, free_run, heat_path, heat_scalars
 from vo2_models.identification.rig_plays import behind_all, bounded_loop, dynamics_of_plays
+from vo2_models.identification.rig_start import with_known_starts
 from vo2_models.identification.steepness import steep_misfit, travel_of, unevenness, variation
 from vo2_models.recording import RESISTANCE, TIP_DEFLECTION, Recording
 
@@ -101,7 +102,8 @@ def fit_rig(
     ValueError : no drive, no response, a drive that hardly changes, or too few samples.
     """
     say = progress or (lambda text, share: None)
-    grids = [on_grid(recording) for recording in recordings]
+    begun: Sequence[GriddedRecording] = [on_grid(recording) for recording in recordings]
+    grids = begun
     roles = [
         role for role in SECTIONS if role in device.channels and any(role in grid.measured for grid in grids)
     ]
@@ -121,6 +123,13 @@ def fit_rig(
         grids, device, values, rates=not coverage.one_rate, relaxes=law in _RELAXING,
         progress=lambda share: say("lag, delay and sense", 0.4 * share),
     )  # fmt: skip
+    known = with_known_starts(grids, _assembled(grids, device, RigHeat("drive", dynamics))[2], values)
+    if known is not grids:
+        grids, values = known, {role: _along(known, role) for role in roles}
+        dynamics = choose_dynamics(
+            grids, device, values, rates=not coverage.one_rate, relaxes=law in _RELAXING,
+            progress=lambda share: say("lag, delay and sense", 0.4 * share),
+        )  # fmt: skip
     heat = RigHeat("drive", dynamics)
     if not coverage.one_rate:  # over one rate another coordinate is another shape of the loop
         say("heat in the film", 0.4)
@@ -144,6 +153,11 @@ def fit_rig(
             fits[role] = bounded_loop(path, values[role], folds[role], behind_all(grids, better))
     dynamics = heat.dynamics
     notes = [*coverage.notes, *heat.notes(device)]
+    if known is not begun:
+        notes.append(
+            "the recording begins at a state that its drive does not show, relaxed or demagnetised for one: what comes before "
+            f"{device.drive_channel} has been at an end of its range is left out; begin with one full cycle"
+        )
     if dynamics.frequency:
         notes.append(
             f"{device.names[TIP_DEFLECTION]} rings at {dynamics.frequency:.4g} Hz with a damping ratio of {dynamics.damping:.2g} "
@@ -185,7 +199,7 @@ def fit_rig(
             residual_colour=residual_colour(run.residual, LONGEST),
         )
         sensors[role] = sensor if model.heats else _uneven(device, sensor, path, values[role], fit, level)
-        unit = "log10 ohm" if role == RESISTANCE else device.units[role]
+        unit = f"log10 {device.units[role]}" if role == RESISTANCE else device.units[role]
         if note := misfit_note(grids, device, channel, unit, run.residual, values[role], level):
             notes.append(note)
     return FitResult(

@@ -69,7 +69,7 @@ def characterise(
     knots = np.linspace(log_resistance.min(), log_resistance.max(), _BINS)
     found[BOUND_KNOTS] = knots.tolist()
     for kind in KINDS:
-        estimate, _ = self_sensing(kind, known).estimate(resistance)
+        estimate, _ = self_sensing(kind, known, judged=False).estimate(resistance)
         error = np.asarray(estimate.deflection) - deflection
         found[f"{SECTION}.bounds.{kind}"] = fit_bound(log_resistance, error, knots).tolist()
     return found

@@ -22,7 +22,7 @@ from vo2_models.parameters import Value
 from vo2_models.self_sensing.bounds import bound_table, table_at
 from vo2_models.self_sensing.records import SECTION
 from vo2_models.self_sensing.scaled import COLD, domain_of, scaled, scaled_one
-from vo2_models.self_sensing.scheme import SelfSensing
+from vo2_models.self_sensing.scheme import SelfSensing, no_law
 from vo2_models.validation import finite_array, increasing
 
 __all__ = ["DirectEGPISelfSensing"]
@@ -79,10 +79,7 @@ class DirectEGPISelfSensing(SelfSensing):
     def from_parameters(cls, parameters: Mapping[str, Value]) -> DirectEGPISelfSensing:
         bank = PlayBank.from_parameters(f"{SECTION}.egpi", parameters)
         if not bank.present:
-            raise ValueError(
-                f"{SECTION}.egpi: found no law; load a model file that `fit` or `identifier` wrote from a "
-                "recording with resistance and deflection"
-            )
+            raise no_law(f"{SECTION}.egpi", parameters)
         return cls(
             np.asarray(parameters[f"{SECTION}.egpi.domain"], float), bank, bound_table(cls.kind, parameters)
         )

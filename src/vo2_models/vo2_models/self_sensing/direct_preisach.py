@@ -24,7 +24,7 @@ from vo2_models.self_sensing.bounds import bound_table, table_at
 from vo2_models.self_sensing.polynomial import polynomial_step
 from vo2_models.self_sensing.records import SECTION
 from vo2_models.self_sensing.scaled import COLD, HOT, domain_of, scaled, scaled_one
-from vo2_models.self_sensing.scheme import SelfSensing
+from vo2_models.self_sensing.scheme import SelfSensing, no_law
 from vo2_models.validation import finite_array, increasing
 
 __all__ = ["DirectPreisachSelfSensing", "walls_of"]
@@ -120,10 +120,7 @@ class DirectPreisachSelfSensing(SelfSensing):
     def from_parameters(cls, parameters: Mapping[str, Value]) -> DirectPreisachSelfSensing:
         head = f"{SECTION}.preisach"
         if not parameters.get(f"{head}.weights"):
-            raise ValueError(
-                f"{head}: found no law; load a model file that `fit` or `identifier` wrote from a recording with "
-                "resistance and deflection"
-            )
+            raise no_law(head, parameters)
         names = ("domain", "weights", "coefficients")
         domain, weights, coefficients = (np.asarray(parameters[f"{head}.{name}"], float) for name in names)
         walls = np.asarray(parameters.get(f"{head}.walls", []), float)

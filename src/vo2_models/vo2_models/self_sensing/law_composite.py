@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device import surrogate_of_temperature
+from vo2_models.device.description import preset
 from vo2_models.hysteresis.law import Inverse, Law
 from vo2_models.hysteresis.laws import law_from_parameters
 from vo2_models.hysteresis.play_bank import PlayBank
@@ -57,9 +58,10 @@ class LawComposite(SelfSensing):
         memory = self.resistance.settle(self.limits[0])
         rise = np.diff(self.resistance.run(path, memory))
         if not rise.sum() > 0.0 or rise.min() < -1e-6 * rise.sum():
+            over = "temperature" if preset(self.device).has_body else "loop coordinate (30 to 90)"
             raise ValueError(
-                f"model.resistance.law: found {self.resistance.name!r} whose -log10 R falls while the temperature rises "
-                f"through {path[int(np.argmin(rise))]:.4g} degC, need a law with an inverse; use another scheme"
+                f"model.resistance.law: found {self.resistance.name!r} whose -log10 R falls while the {over} rises through "
+                f"{path[int(np.argmin(rise))]:.4g}, need a law with an inverse: `fit --law plays` writes one"
             )
         object.__setattr__(self, "_inverse", self.resistance.inverse(self.limits))
 

@@ -17,7 +17,7 @@ from vo2_models.numerics.kernel import kernel
 from vo2_models.parameters import Value
 from vo2_models.self_sensing.bounds import bound_table, table_at
 from vo2_models.self_sensing.records import SECTION
-from vo2_models.self_sensing.scheme import SelfSensing
+from vo2_models.self_sensing.scheme import SelfSensing, no_law
 from vo2_models.validation import finite_array, increasing
 
 __all__ = ["PolynomialSelfSensing"]
@@ -90,10 +90,7 @@ class PolynomialSelfSensing(SelfSensing):
         section = f"{SECTION}.polynomial"
         domain, coefficients = parameters.get(f"{section}.domain"), parameters.get(f"{section}.coefficients")
         if not domain or not coefficients:
-            raise ValueError(
-                f"{section}: found no polynomial; load a model file that `fit` or `identifier` wrote from a "
-                "recording with resistance and deflection"
-            )
+            raise no_law(section, parameters)
         return cls(
             np.asarray(domain, float), np.asarray(coefficients, float), bound_table(cls.kind, parameters)
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from importlib import import_module
 from typing import ClassVar, NamedTuple
@@ -9,11 +10,12 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from vo2_models.device.description import preset
 from vo2_models.parameters import Value
 from vo2_models.self_sensing.records import KINDS, PARAMETERS
 from vo2_models.validation import finite_array
 
-__all__ = ["KINDS", "PARAMETERS", "Estimate", "SelfSensing", "self_sensing"]
+__all__ = ["KINDS", "PARAMETERS", "Estimate", "SelfSensing", "no_law", "self_sensing"]
 
 Floats = NDArray[np.float64]
 
@@ -46,9 +48,15 @@ class Estimate(NamedTuple):
 
 
 class SelfSensing:
-    """A scheme that turns resistances into deflections, sample by sample, on explicit memory."""
+    """A scheme that turns resistances into deflections, sample by sample, on explicit memory.
+
+    Attributes
+    ----------
+    doubt : why its estimates cannot be used, in words; empty where nothing speaks against them
+    """
 
     kind: ClassVar[str]
+    doubt: str = ""
 
     @classmethod
     def from_parameters(cls, parameters: Mapping[str, Value]) -> SelfSensing:
@@ -82,8 +90,11 @@ class SelfSensing:
     def estimate(self, resistance: ArrayLike, state: Floats | None = None) -> tuple[Estimate, Floats]:
         """Run over resistances (n,) [ohm]; return the estimates as arrays (n,) and the final memory.
 
-        `state` is the memory before the first sample, None for lower saturation; it is not changed.
+        `state` is the memory before the first sample, None for lower saturation; it is not changed. A `doubt` is told as a
+        `UserWarning`.
         """
+        if self.doubt:
+            warnings.warn(self.doubt, UserWarning, stacklevel=2)
         values = finite_array(resistance, "resistance")
         if np.any(values <= 0):
             k = int(np.flatnonzero(values <= 0)[0])
@@ -95,13 +106,45 @@ class SelfSensing:
         return Estimate(*np.ascontiguousarray(rows.T)), final
 
 
-def self_sensing(kind: str, parameters: Mapping[str, Value]) -> SelfSensing:
+def self_sensing(kind: str, parameters: Mapping[str, Value], *, judged: bool = True) -> SelfSensing:
     """Return the scheme `kind` with the flat `model.*` parameters.
+
+    Parameters
+    ----------
+    judged : whether to find out if its estimates can be used
 
     Raises
     ------
     ValueError : an unknown kind, or a model that lacks what the scheme needs.
     """
+    scheme = _built(kind, parameters)
+    if judged:
+        from vo2_models.self_sensing.uniqueness import doubt_of
+
+        object.__setattr__(scheme, "doubt", doubt_of(scheme, parameters))
+    return scheme
+
+
+def no_law(section: str, parameters: Mapping[str, Value]) -> ValueError:
+    """Return the error of a scheme whose own law a model lacks.
+
+    Parameters
+    ----------
+    section : of the law
+    parameters : flat `model.*` parameters, with the device
+    """
+    try:
+        of_body = preset(str(parameters.get("model.device", ""))).has_body
+    except ValueError:
+        of_body = True
+    if of_body:
+        remedy = "load a model file that `fit` or `identifier` wrote from a recording with resistance and deflection"
+    else:
+        remedy = "`fit` writes one only for a device with a heated body; use scheme composite with a model of `fit --law plays`"
+    return ValueError(f"{section}: found no law; {remedy}")
+
+
+def _built(kind: str, parameters: Mapping[str, Value]) -> SelfSensing:
     if kind not in _CLASSES:
         raise ValueError(f"kind: found {kind!r}, need one of {', '.join(KINDS)}")
     if kind == "composite" and "model.resistance.law" in parameters:

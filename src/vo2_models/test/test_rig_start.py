@@ -1,0 +1,68 @@
+"""Recordings of devices without body that begin relaxed: fit and judgement begin where that is forgotten."""
+
+import numpy as np
+import pytest
+import yaml
+from vo2_models.device.description import described
+from vo2_models.diagnosis import diagnose
+from vo2_models.identification.model_fit import fit_model
+from vo2_models.identification.rig_start import known_from
+from vo2_models.recording import Recording
+
+DEVICE = {
+    "schema": "vo2-device/1",
+    "id": "magnet",
+    "drive": {"channel": "field", "unit": "V", "limits": [-10.0, 10.0]},
+    "responses": {"flux": {"unit": "C", "scale": "linear"}},
+}
+
+
+def magnet(drive, *, relaxed, seed):
+    """Plays of all radii, which a demagnetised material begins with at rest; none is the law's own density."""
+    radii = np.linspace(0.05, 6.0, 60)
+    state = np.zeros(radii.size) if relaxed else drive[0] + radii
+    out = np.empty(drive.size)
+    for k, u in enumerate(drive):
+        state = np.clip(state, u - radii, u + radii)
+        out[k] = np.tanh(state / 4.0) @ np.exp(-radii / 3.0) / 20.0
+    return out + np.random.default_rng(seed).normal(0.0, 2e-4, drive.size)
+
+
+def recording(levels, *, relaxed=True, seed=0):
+    drive = np.interp(np.arange((len(levels) - 1) * 40), np.arange(len(levels)) * 40, levels)
+    channels = {"field": drive, "flux": magnet(drive, relaxed=relaxed, seed=seed)}
+    return described(DEVICE, "magnet").in_roles(Recording(0.01 * np.arange(drive.size), channels, "magnet"))
+
+
+def levels(seed):
+    random = np.random.default_rng(seed)
+    falling = [10.0 * (-1) ** k * (1.0 - k / 20.0) for k in range(18)]
+    return [0.0, *falling, *random.uniform(-10.0, 10.0, 24)]
+
+
+@pytest.fixture(scope="module")
+def device(tmp_path_factory):
+    path = tmp_path_factory.mktemp("device") / "magnet.yaml"
+    path.write_text(yaml.safe_dump(DEVICE))
+    return str(path)
+
+
+def test_the_past_is_forgotten_at_an_end_of_the_range() -> None:
+    assert known_from(np.array([0.0, 1.0, 0.0, -1.0])) == 1
+    assert known_from(np.array([-1.0, 1.0, 0.0])) == 0
+
+
+def test_a_relaxed_beginning_is_left_out_and_the_rest_fits_as_well_as_a_saturated_one(device) -> None:
+    fits = [fit_model([recording(levels(1), relaxed=r)], device)[0] for r in (True, False)]
+    notes = [[note for note in fit.notes if "begins at a state" in note] for fit in fits]
+    assert len(notes[0]) == 1 and "field has been at an end of its range" in notes[0][0]
+    left = [np.sqrt(np.nanmean(fit.residuals["tip_deflection"] ** 2)) for fit in fits]
+    assert left[0] < 1.3 * left[1]
+
+
+def test_what_begins_relaxed_is_judged_from_where_that_is_forgotten(device) -> None:
+    parameters = fit_model([recording(levels(1))], device)[1]
+    answer = diagnose([recording(levels(2), seed=3)], parameters)
+    assert answer.verdict == "agrees"
+    (told,) = [text for text in answer.limits if "begins at a state" in text]
+    assert "the first 3" in told and "are not judged" in told
