@@ -528,6 +528,21 @@ def test_beside_a_constant_that_explains_by_itself_nothing_is_named_within_the_m
     assert study([late], model, limits=replace(found.limits, alone=-1.0)).decision.equivalent
 
 
+def test_a_lag_of_the_drive_that_is_many_times_what_it_was_is_a_moved_constant():
+    def ramps(seed, lag):
+        rng = np.random.default_rng(seed)
+        volts = np.interp(np.arange(1600), np.arange(41) * 40, [0.0, 10.0, 0.0, *rng.uniform(0.0, 10.0, 38)])
+        late = lfilter([1.0 - np.exp(-0.1 / lag)], [1.0, -np.exp(-0.1 / lag)], volts) if lag else volts
+        stroke = LAW(late)
+        stroke = stroke + 1e-3 * np.ptp(stroke) * rng.standard_normal(volts.size)
+        return Recording(np.arange(1600) * 0.1, {HEATER_CURRENT: volts, TIP_DEFLECTION: stroke}, "stack")
+
+    found = study([ramps(2, 0.5)], fit_model([ramps(1, 0.0)], DEVICE.key)[1])
+    (told,) = assemble_diagnosis(found).moved
+    assert found.decision.verdict == "drifted" and told.constant == "thermal.time_constant"
+    assert told.was < 0.05 and told.now == pytest.approx(0.5, abs=0.1)
+
+
 def test_what_was_before_is_the_model_as_it_is_also_where_constants_have_moved(model):
     late = recorded(2, change=lambda y: 1.4 * y)
     found = study([late], model)

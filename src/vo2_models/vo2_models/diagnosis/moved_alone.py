@@ -30,7 +30,7 @@ _ENOUGH = 1e-3
 _LAGS = ("thermal.time_constant", "driver.dead_time")
 _LONGER = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 """Multiples of a lag from which it is searched too: one far below a sample changes nothing by small steps."""
-_SEEN = 0.5
+_SEEN = 1.0
 """Sample periods that the lag of a drive which heats nothing must have moved by: how it goes on between samples is not known."""
 
 

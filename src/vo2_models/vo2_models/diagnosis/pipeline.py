@@ -15,10 +15,10 @@ from vo2_models.diagnosis.check import Unusable
 from vo2_models.diagnosis.corrected_model import distance
 from vo2_models.diagnosis.decide import decide, told_as, without_a_name
 from vo2_models.diagnosis.limits import Limits
-from vo2_models.diagnosis.locate import locate
+from vo2_models.diagnosis.locate import Located, locate
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.progress import Clock, Progress
-from vo2_models.diagnosis.read import read
+from vo2_models.diagnosis.read import Reading, read
 from vo2_models.diagnosis.report import assemble_diagnosis, equally_likely, unlikely
 from vo2_models.diagnosis.result import Diagnosis
 from vo2_models.diagnosis.search import search
@@ -27,6 +27,9 @@ from vo2_models.parameters import Value
 from vo2_models.recording import Recording, as_recordings
 
 __all__ = ["diagnose", "study"]
+
+SIMULATIONS = 700
+"""What a diagnosis takes, about."""
 
 
 def diagnose(
@@ -83,7 +86,7 @@ def study(
     Unusable : (a ValueError) data or model with which nothing can be said; one line with the reason.
     """
     began = time.perf_counter()
-    clock, limits = Clock(progress, 700), limits or Limits()
+    clock, limits = Clock(progress, SIMULATIONS), limits or Limits()
     nominal = model if isinstance(model, Nominal) else Nominal.from_parameters(model)
     recordings, calibration = (
         [nominal.model.description.understood(one) for one in as_recordings(part, name)]
@@ -110,7 +113,18 @@ def _study(
 ) -> Study:
     """The five stages over all recordings, in each of which the same acts."""
     reading = read([*calibration, *recordings], nominal, names, limits, clock, calibrations=len(calibration))
-    located = locate(reading, limits, clock)
+    answer = _decided(reading, locate(reading, limits, clock), limits, clock)
+    alone = answer.decision.alone
+    if alone is None or reading.nominal.model.description.has_body:
+        return answer
+    # on a device without body a constant may be another one altogether, as its lag is with another amplifier
+    reading, moves = reading.with_moved(alone)
+    located = locate(reading, limits, clock, about=moves)
+    return answer if located.is_loud(limits) else _decided(reading, located, limits, clock)
+
+
+def _decided(reading: Reading, located: Located, limits: Limits, clock: Clock) -> Study:
+    """Search and decision over what was read and located."""
     found = search(located, limits, clock, one_loop=reading.one_loop, first_use=reading.first_use)
     decision = decide(located, found, reading, limits, clock)
     answer = Study(reading, located, found, decision, limits, 0.0)
@@ -126,29 +140,17 @@ def _study(
         answer = replace(answer, decision=decision)
     if unlikely(answer):
         answer = replace(answer, decision=without_a_name(decision, located, found, reading, limits, clock))
-    alone = answer.decision.alone
-    if alone is None or reading.nominal.model.description.has_body:
-        return answer
-    # on a device without body a constant may be another one altogether, as its lag is with another amplifier
-    reading, moves = reading.with_moved(alone)
-    located = locate(reading, limits, clock, about=moves)
-    if located.is_loud(limits):
-        return answer
-    found = search(located, limits, clock, one_loop=reading.one_loop, first_use=False)
-    decision = decide(located, found, reading, limits, clock)
-    return Study(reading, located, found, decision, limits, 0.0)
+    return answer
 
 
 def _may_be_of_some_only(answer: Study) -> bool:
     """Whether what is told may have come between the recordings: no name, several, or one that goes on and off or drifts."""
     chosen = answer.decision.chosen
-    if answer.decision.verdict != "differs":
+    if answer.decision.verdict != "differs" or len(answer.reading.parts) < 2:
         return False
-    return (
-        chosen is None
-        or len(chosen.keys) > 1
-        or any(h.key in chosen.courses or h.switches for h in chosen.hypotheses)
-    )
+    if chosen is None or any(h.key in chosen.courses or h.switches for h in chosen.hypotheses):
+        return True
+    return len(chosen.keys) > 1 and not answer.reading.first_use
 
 
 def _of_some(
@@ -158,42 +160,42 @@ def _of_some(
 
     Where one that does not agree is a calibration, what differs was there all along.
     """
-    parts = together.reading.parts
-    if len(parts) < 2:
-        return together
+    parts, first = together.reading.parts, together.reading.calibrations
+    # what was found with the calibration is not given up for moved constants
+    named_before = bool(first) and together.decision.chosen is not None
+
+    def has_an_answer(answer: Study) -> bool:
+        return answer.decision.chosen is not None or (
+            answer.decision.verdict == "drifted" and not named_before
+        )
+
+    def how_far(answer: Study) -> tuple[bool, bool, float]:
+        """The order of studies: a name before moved constants before none, then by how much is beyond the noise."""
+        return answer.decision.chosen is not None, has_an_answer(answer), answer.located.total_excess
 
     def of(some: Sequence[int]) -> Study:
         chosen, names = [recordings[k] for k in some], [parts[k].name for k in some]
+        clock.expected += SIMULATIONS
         return _study(chosen, (), nominal, names, limits, clock)
 
     agrees = []
     for recording, part in zip(recordings, parts, strict=True):
         alone = read([recording], nominal, [part.name], limits, clock)
         agrees.append(not alone.evident and not locate(alone, limits, clock).is_loud(limits))
-    first = together.reading.calibrations
     if not all(agrees[:first]):
         return together
     loud = [k for k, quiet in enumerate(agrees) if not quiet]
     some = [of(loud)] if 0 < len(loud) < len(parts) else []
-    if some and _has_an_answer(some[0]):
+    if some and has_an_answer(some[0]):
         answers = some
     elif len(loud) == 1:
         answers = []
     else:  # a day of its own for each: what constants take up by themselves differs from one to the next
         answers = [of([k]) for k in loud or range(first, len(parts))]
-    if not any(map(_has_an_answer, answers)):
+    if not any(map(has_an_answer, answers)):
         answers = some if together.decision.chosen is None and not first else []
     if not answers:
         return together
-    answer, *others = sorted(answers, key=_how_far, reverse=True)
+    answer, *others = sorted(answers, key=how_far, reverse=True)
     agreeing = tuple(part.name for part, quiet in zip(parts, agrees, strict=True) if quiet and loud)
     return replace(answer, agreeing=agreeing, apart=tuple(others))
-
-
-def _has_an_answer(answer: Study) -> bool:
-    return answer.decision.chosen is not None or answer.decision.verdict == "drifted"
-
-
-def _how_far(answer: Study) -> tuple[bool, bool, float]:
-    """The order of studies: a name before moved constants before none, then by how much is beyond the noise."""
-    return answer.decision.chosen is not None, _has_an_answer(answer), answer.located.total_excess
