@@ -221,7 +221,8 @@ def pair_of(
     found.sort(key=lambda item: item[1].chi_square)
     where, best = _simplest(found, limits)
     drop = before - best.chi_square
-    if drop < limits.gain:
+    # an equation a little off leaves as much, of any shape
+    if drop < max(limits.gain, limits.equation * first.gain):
         return None
     if drop < limits.second * max(first.gain, 0.0) and _cosine(where, best) > limits.second_cosine:
         return None

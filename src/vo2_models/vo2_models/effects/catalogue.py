@@ -104,7 +104,7 @@ def module_of(file: Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
-        del sys.modules[name]
+        sys.modules.pop(name, None)
         raise ValueError(f"{file}: cannot be imported ({type(error).__name__}: {error})") from error
     return module
 
