@@ -141,8 +141,8 @@ class Limits:
     equation: float = _limit(
         0.005,
         "share of what is explained that does not count as left, nor as what a second effect explains: an equation 7 % off "
-        "leaves as much; of two recordings with one effect of a user's own the false second ones explained 0.0035 and 0.0025, of a "
-        "third 0.010, which stays",
+        "leaves as much; of two recordings with one effect of a user's own the false second ones explained 0.0035 and 0.0025, "
+        "of a third 0.010, which stays",
     )
     doubt: float = _limit(
         0.4,
