@@ -11,6 +11,7 @@ from scipy.special import erfcx
 from vo2_models.device import preset, truth
 from vo2_models.device.coefficients import apply_effects, neutral
 from vo2_models.effects import effect, effect_ids, effects
+from vo2_models.effects.trial import try_functions
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
 CONTRACT = [
@@ -132,6 +133,7 @@ def test_neutral_is_bitwise_nothing_and_typical_reaches_what_it_names(device, na
 
 @pytest.mark.parametrize("name", effect_ids())
 def test_record_is_complete(name):
+    try_functions(effect(name))
     record = effect(name)
     assert record.parameters and any(record.occurs_on(device) for device in PRESETS)
     for text in (record.equation, record.excitation, record.source):

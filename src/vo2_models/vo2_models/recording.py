@@ -66,6 +66,11 @@ class Recording:
     device : preset id, as in `header.frame_id`; empty where unknown
     unread : instants (m,) [s] at which no sample was read, and the command (m,) [A] that governed the interval which ends
         there: what is lost on its way to a log is lost to the log only
+
+    Examples
+    --------
+    >>> Recording(np.array([0.0, 0.5]), {"stroke": np.zeros(2)}, "stack")
+    Recording(2 samples, 0 to 0.5 s: stroke; device stack)
     """
 
     time_s: NDArray[np.float64]
@@ -85,6 +90,12 @@ class Recording:
                 )
             checked[name] = array
         object.__setattr__(self, "channels", checked)
+
+    def __repr__(self) -> str:
+        span = (
+            f"{len(self)} samples, {self.time_s[0]:.6g} to {self.time_s[-1]:.6g} s" if len(self) else "empty"
+        )
+        return f"Recording({span}: {', '.join(self.channels) or 'no channels'}; device {self.device or 'unknown'})"
 
     def __len__(self) -> int:
         return self.time_s.size
