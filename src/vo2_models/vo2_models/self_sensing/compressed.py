@@ -51,7 +51,8 @@ def bounds_after(before: Mapping[str, Value], after: Mapping[str, Value]) -> dic
     found: dict[str, Value] = {BOUND_KNOTS: knots.tolist()}
     for kind in kinds:
         old, new = (
-            self_sensing(kind, values).estimate(resistance)[0].deflection for values in (before, after)
+            self_sensing(kind, values, judged=False).estimate(resistance)[0].deflection
+            for values in (before, after)
         )
         change = fit_bound(np.log10(resistance), np.asarray(new) - np.asarray(old), knots)
         found[f"{prefix}{kind}"] = (np.asarray(before[f"{prefix}{kind}"]) + change).tolist()

@@ -53,6 +53,6 @@ def doubt_of(scheme: SelfSensing, parameters: Mapping[str, Value]) -> str:
     names = device.names
     one, other = names.get(RESISTANCE, RESISTANCE), names.get(TIP_DEFLECTION, TIP_DEFLECTION)
     return (
-        f"the relation of {one} to {other} is not unique: on the model's own loops the {scheme.kind} scheme errs by "
-        f"{100 * error:.0f} % r.m.s. of the span of {other}"
+        f"{other} cannot be estimated from {one}: on the model's own loops the {scheme.kind} scheme errs by "
+        f"{100 * error:.0f} % r.m.s. of the span, as where the relation is not unique"
     )

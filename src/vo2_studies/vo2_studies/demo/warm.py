@@ -58,7 +58,7 @@ def _estimation() -> None:
     recording, known = _made_up(), chapter_7_tables().parameters
     model = {**known, **characterise(recording, known)}
     for kind in KINDS:
-        self_sensing(kind, model).estimate(recording[RESISTANCE][:10])
+        self_sensing(kind, model, judged=False).estimate(recording[RESISTANCE][:10])
 
 
 def _another_law() -> None:
@@ -92,7 +92,7 @@ def main() -> int:
     beside.start()
     _, model = fit_model([recording], _DEVICE, plays=6)
     for kind in KINDS:
-        self_sensing(kind, model).estimate(recording[RESISTANCE][:10])
+        self_sensing(kind, model, judged=False).estimate(recording[RESISTANCE][:10])
     limits = current_limits(_DEVICE, model)
     law = pid_controller(tuned_from_model(model, period, limits=limits).gains, limits, period)
     for kind in ("composite", "polynomial"):
