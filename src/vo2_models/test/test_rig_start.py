@@ -60,6 +60,14 @@ def test_a_relaxed_beginning_is_left_out_and_the_rest_fits_as_well_as_a_saturate
     assert left[0] < 1.3 * left[1]
 
 
+def test_of_few_samples_none_is_left_out(device) -> None:
+    whole = recording(levels(1)[:20])
+    few = Recording(whole.time_s[::16], {c: v[::16] for c, v in whole.channels.items()}, "magnet")
+    assert len(few) < 50
+    notes = fit_model([few], device)[0].notes
+    assert notes and not any("begins at a state" in note for note in notes)
+
+
 def test_what_begins_relaxed_is_judged_from_where_that_is_forgotten(device) -> None:
     parameters = fit_model([recording(levels(1))], device)[1]
     answer = diagnose([recording(levels(2), seed=3)], parameters)

@@ -26,6 +26,8 @@ MOST_UNKNOWN = 0.5
 """Share of a recording beyond which nothing is left out: too little would be left."""
 FURTHER_OFF = 3.0
 """Times the error afterwards by which the model must be off until then for the state to count as unknown."""
+_FEWEST = 50
+"""Measured samples afterwards below which nothing is left out: a fit needs them all."""
 _GRID = {"centres": 20, "widths": 10}
 _DEGREE = 3
 
@@ -82,7 +84,7 @@ def with_known_starts(
 
 def _is_unknown(path: Floats, values: Floats, before: NDArray[np.bool_]) -> bool:
     """Whether plays that are fitted to the rest of a response, and begin at saturation, are far off until then."""
-    if not np.isfinite(values[before]).any():
+    if not np.isfinite(values[before]).any() or np.count_nonzero(np.isfinite(values[~before])) < _FEWEST:
         return False
     dictionary = PlayDictionary.over(float(path.min()), float(path.max()), **_GRID)
     fit = fit_dictionary(dictionary, path, np.where(before, np.nan, values), degree=_DEGREE, signed=True)
