@@ -136,6 +136,11 @@ def summary(prediction: Prediction, device: DeviceDescription) -> list[str]:
             )
             if one.inside < _FEW_INSIDE:
                 text += " where 95 % are meant: the model misses more here than of its calibration"
+            if one.unknown:
+                text += (
+                    f"; its first {one.unknown} samples, until {device.drive_channel} has been at an end of its range, begin "
+                    "at a state that the drive does not show, and are not judged"
+                )
         lines.append(text)
     return lines
 

@@ -222,26 +222,32 @@ def test_an_advance_that_gives_one_of_two_states_is_refused(tmp_path):
         load_effect(module_of(file))
 
 
-def test_a_command_tells_what_is_wrong_with_an_effect_file_in_one_line(tmp_path, capsys):
-    import argparse
+ASKED_FOR = """
+import argparse, os
+from vo2_models.effects.catalogue import add_effects_option
+folder = os.environ.pop("VO2_EFFECTS")
+parser = argparse.ArgumentParser(prog="fit")
+add_effects_option(parser)
+if {used}:
+    import vo2_models.device.generated
+parser.parse_args(["--effects", folder])
+"""
 
-    from vo2_models.effects.catalogue import VARIABLE, add_effects_option, effects
 
+def test_a_command_tells_what_is_wrong_with_an_effect_file_in_one_line(tmp_path):
     (tmp_path / "slow_anchor.py").write_text("EFFECT = 3")
-    parser = argparse.ArgumentParser(prog="fit")
-    add_effects_option(parser)
-    before = os.environ.get(VARIABLE)
-    try:
-        with pytest.raises(SystemExit) as end:
-            parser.parse_args(["--effects", str(tmp_path)])
-    finally:
-        os.environ.pop(VARIABLE, None)
-        if before is not None:
-            os.environ[VARIABLE] = before
-        effects.cache_clear()
-    assert end.value.code == 2
-    said = capsys.readouterr().err
-    assert said.startswith("fit: ") and "slow_anchor.py: EFFECT: found int" in said and said.count("\n") == 1
+    done = run(tmp_path, ASKED_FOR.format(used=False))
+    assert done.returncode == 2
+    assert done.stderr.startswith("fit: ") and done.stderr.count("\n") == 1
+    assert "slow_anchor.py: EFFECT: found int" in done.stderr
+
+
+def test_effects_that_come_too_late_for_a_process_are_told_in_one_line(tmp_path):
+    (tmp_path / "slow_anchor.py").write_text("EFFECT = 3")
+    done = run(tmp_path, ASKED_FOR.format(used=True))
+    assert done.returncode == 2
+    assert done.stderr.startswith("fit: ") and done.stderr.count("\n") == 1
+    assert "need a new process" in done.stderr
 
 
 def test_a_folder_that_is_not_there_is_told(tmp_path):

@@ -7,6 +7,7 @@ from vo2_models.device.description import described
 from vo2_models.diagnosis import diagnose
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.identification.rig_start import known_from
+from vo2_models.prediction import predict
 from vo2_models.recording import Recording
 
 DEVICE = {
@@ -47,13 +48,18 @@ def device(tmp_path_factory):
     return str(path)
 
 
+@pytest.fixture(scope="module")
+def fitted(device):
+    return fit_model([recording(levels(1))], device)
+
+
 def test_the_past_is_forgotten_at_an_end_of_the_range() -> None:
     assert known_from(np.array([0.0, 1.0, 0.0, -1.0])) == 1
     assert known_from(np.array([-1.0, 1.0, 0.0])) == 0
 
 
-def test_a_relaxed_beginning_is_left_out_and_the_rest_fits_as_well_as_a_saturated_one(device) -> None:
-    fits = [fit_model([recording(levels(1), relaxed=r)], device)[0] for r in (True, False)]
+def test_a_relaxed_beginning_is_left_out_and_the_rest_fits_as_well_as_a_saturated_one(device, fitted) -> None:
+    fits = [fitted[0], fit_model([recording(levels(1), relaxed=False)], device)[0]]
     notes = [[note for note in fit.notes if "begins at a state" in note] for fit in fits]
     assert len(notes[0]) == 1 and "field has been at an end of its range" in notes[0][0]
     left = [np.sqrt(np.nanmean(fit.residuals["tip_deflection"] ** 2)) for fit in fits]
@@ -68,9 +74,29 @@ def test_of_few_samples_none_is_left_out(device) -> None:
     assert notes and not any("begins at a state" in note for note in notes)
 
 
-def test_what_begins_relaxed_is_judged_from_where_that_is_forgotten(device) -> None:
-    parameters = fit_model([recording(levels(1))], device)[1]
+def test_what_begins_relaxed_is_judged_from_where_that_is_forgotten(fitted) -> None:
+    parameters = fitted[1]
     answer = diagnose([recording(levels(2), seed=3)], parameters)
     assert answer.verdict == "agrees"
     (told,) = [text for text in answer.limits if "begins at a state" in text]
     assert "the first 3" in told and "are not judged" in told
+
+
+def test_a_gain_that_has_moved_is_told_beside_a_relaxed_beginning(fitted) -> None:
+    parameters = fitted[1]
+    later = recording(levels(2), seed=3)
+    louder = {name: 1.1 * y if name == "tip_deflection" else y for name, y in later.channels.items()}
+    answer = diagnose([Recording(later.time_s, louder, "magnet")], parameters)
+    assert answer.verdict == "drifted"
+    (moved,) = answer.moved
+    assert moved.constant == "deflection.gain" and moved.now == pytest.approx(1.1, abs=3 * moved.std)
+    assert any("begins at a state" in text for text in answer.limits)
+
+
+def test_a_prediction_is_judged_from_where_the_beginning_is_forgotten(fitted) -> None:
+    model = fitted[0].model
+    relaxed = recording(levels(2), seed=3)
+    from_an_end = recording([10.0, *levels(2)[1:]], seed=3)
+    one, other = (predict(model, each).channels["tip_deflection"] for each in (relaxed, from_an_end))
+    assert one.unknown and not other.unknown
+    assert one.error == pytest.approx(other.error, rel=0.3)

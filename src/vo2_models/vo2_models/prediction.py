@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vo2_models.device.model import DeviceModel
 from vo2_models.identification.grid import GriddedRecording, on_grid
+from vo2_models.identification.rig_start import unknown_until
 from vo2_models.recording import (
     HEATER_CURRENT,
     JITTERED,
@@ -42,6 +43,7 @@ class ChannelPrediction:
     error : root mean square of measured minus predicted, in judged units (log10 for the film response); NaN without
     span : of what was measured, in judged units; NaN without
     inside : share of the measured samples between the bounds; NaN without
+    unknown : samples at the begin that error and share leave out: the drive does not show what state they begin at
     """
 
     value: Floats
@@ -51,6 +53,7 @@ class ChannelPrediction:
     error: float
     span: float
     inside: float
+    unknown: int = 0
 
 
 @dataclass(frozen=True)
@@ -127,7 +130,10 @@ def predict(model: DeviceModel, recording: Recording) -> Prediction:
     return Prediction(
         _stamps(recording, grid),
         drive(periods),
-        {role: _compared(model, role, outputs[role], grid.measured.get(role)) for role in roles},
+        {
+            role: _compared(model, role, outputs[role], grid.measured.get(role), drive(periods))
+            for role in roles
+        },
         settled,
         periods * grid.dt,
     )
@@ -143,13 +149,17 @@ def _stamps(recording: Recording, grid: GriddedRecording) -> Floats:
     return np.interp(instants, place, known.time_s)
 
 
-def _compared(model: DeviceModel, role: str, value: Floats, measured: Floats | None) -> ChannelPrediction:
+def _compared(
+    model: DeviceModel, role: str, value: Floats, measured: Floats | None, drive: Floats
+) -> ChannelPrediction:
     """Bounds from the held-out misfit (the fit's own residual where that was not tried), which holds the noise too."""
     sensor = model.sensors.get(role)
     bound = _NORMAL_95 * (sensor.misfit or sensor.residual) if sensor else 0.0
     error = span = inside = float("nan")
+    unknown = 0
     if measured is not None:
-        good = np.isfinite(measured)
+        unknown = 0 if model.heats else unknown_until(measured - value, value, drive)
+        good = np.isfinite(measured) & (np.arange(measured.size) >= unknown)
         gap = np.abs(measured[good] - value[good])
         error, span, inside = (
             float(np.sqrt(np.mean(gap**2))),
@@ -165,6 +175,7 @@ def _compared(model: DeviceModel, role: str, value: Floats, measured: Floats | N
         error=error,
         span=span,
         inside=inside,
+        unknown=unknown,
     )
 
 

@@ -30,8 +30,7 @@ from vo2_models.diagnosis.nuisance import (
 )
 from vo2_models.diagnosis.part import Part, prepare
 from vo2_models.diagnosis.progress import Clock
-from vo2_models.identification.loop_law import root_mean_square
-from vo2_models.identification.rig_start import FURTHER_OFF, MOST_UNKNOWN, known_from
+from vo2_models.identification.rig_start import unknown_until
 from vo2_models.identification.steepness import unevenness
 from vo2_models.recording import HEATER_CURRENT, Recording, aligned
 from vo2_models.units import stamp_in_words
@@ -308,19 +307,17 @@ def _without_unknown_starts(
     """Leave out what comes before the drive has been at an end of its range, where the model is far further off than later."""
     found, told = [], []
     for part, response in started:
-        known = known_from(part.current)
-        until = np.arange(part.size) < known
         valid = dict(part.valid)
-        for channel in part.channels if 0 < known < MOST_UNKNOWN * part.size else ():
-            gap = np.where(valid[channel], part.observed[channel] - response.channels[channel], np.nan)
-            first, rest = root_mean_square(gap[until]), root_mean_square(gap[~until])
-            if first > FURTHER_OFF * rest:
-                valid[channel] = valid[channel] & ~until
+        for channel in part.channels:
+            simulated = response.channels[channel]
+            gap = np.where(valid[channel], part.observed[channel] - simulated, np.nan)
+            if unknown := unknown_until(gap, simulated, part.current):
+                valid[channel] = valid[channel] & (np.arange(part.size) >= unknown)
                 told.append(
                     Finding(
                         "start",
                         f"{part.name}: {channel} begins at a state that the drive does not show, relaxed or demagnetised for "
-                        f"one: the first {known} samples, until the drive has been at an end of its range, are not judged",
+                        f"one: the first {unknown} samples, until the drive has been at an end of its range, are not judged",
                     )
                 )
         found.append((replace(part, valid=valid), response))

@@ -38,6 +38,8 @@ __all__ = [
 
 _OURS = "vo2_models.effects."
 _MACHINERY = ("catalogue", "magnitude", "record", "skeleton", "trial")
+_COMPILED = "vo2_models.device.generated"
+"""Module that is generated from the effects when it is first imported."""
 VARIABLE = "VO2_EFFECTS"
 """Environment variable with folders of effect files; a variable, so that processes that are started have it too."""
 
@@ -58,6 +60,14 @@ class _TakeEffects(argparse.Action):
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
         folders = [f for f in os.environ.get(VARIABLE, "").split(os.pathsep) if f]
+        if str(values.resolve()) in folders:
+            return
+        if _COMPILED in sys.modules:
+            parser.exit(
+                2,
+                f"{parser.prog}: --effects {values}: found a simulation in use in this process, which holds the effects there "
+                f"were then; need a new process, or {VARIABLE}={values} set before the first use\n",
+            )
         os.environ[VARIABLE] = os.pathsep.join(dict.fromkeys([*folders, str(values.resolve())]))
         effects.cache_clear()
         try:

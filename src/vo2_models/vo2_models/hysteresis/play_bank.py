@@ -180,7 +180,7 @@ class PlayBank(Law):
         """
         written = values.get(f"{section}.law") or cls.name
         if written != cls.name:
-            raise ValueError(f"{section}.law: found {written!r}, need {cls.name!r} here")
+            raise ValueError(f"{section}.law: found {written!r}, need {cls.name!r} here (fit --law plays)")
         bank = super().from_parameters(section, values)
         for name in ("rising_slopes", "falling_slopes"):
             slopes = np.asarray(getattr(bank, name))

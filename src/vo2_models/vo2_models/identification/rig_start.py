@@ -17,14 +17,14 @@ from vo2_models.identification.grid import GriddedRecording
 from vo2_models.identification.loop_law import root_mean_square
 from vo2_models.identification.play_dictionary import PlayDictionary, fit_dictionary
 
-__all__ = ["FURTHER_OFF", "MOST_UNKNOWN", "known_from", "with_known_starts"]
+__all__ = ["known_from", "unknown_until", "with_known_starts"]
 
 Floats = NDArray[np.float64]
 _END = 0.05
 """Share of the drive's range within which an end of it counts as reached."""
-MOST_UNKNOWN = 0.5
+_MOST_UNKNOWN = 0.5
 """Share of a recording beyond which nothing is left out: too little would be left."""
-FURTHER_OFF = 3.0
+_FURTHER_OFF = 3.0
 """Times the error afterwards by which the model must be off until then for the state to count as unknown."""
 _FEWEST = 50
 """Measured samples afterwards below which nothing is left out: a fit needs them all."""
@@ -49,6 +49,28 @@ def known_from(drive: Floats) -> int:
     return min(int(np.argmax(drive >= high - near)), int(np.argmax(drive <= low + near)))
 
 
+def unknown_until(gap: Floats, response: Floats, drive: Floats) -> int:
+    """Return how many samples begin at a state that the drive does not show, 0 where the model's own start is as near.
+
+    A gain that has moved would hide such a beginning: what of the gap a zero, a gain and a part in step with the drive explain
+    afterwards is taken out before the two are compared.
+
+    Parameters
+    ----------
+    gap : (n,) measured minus simulated, NaN where not judged
+    response : (n,) simulated from saturation
+    drive : (n,) in any unit
+    """
+    known = known_from(drive)
+    later = np.arange(gap.size) >= known
+    judged = later & np.isfinite(gap)
+    if not 0 < known < _MOST_UNKNOWN * gap.size or not np.isfinite(gap[~later]).any() or not judged.any():
+        return 0
+    columns = np.stack([np.ones(gap.size), response, drive / np.max(np.abs(drive))], axis=1)
+    left = gap - columns @ np.linalg.lstsq(columns[judged], gap[judged], rcond=None)[0]
+    return known if root_mean_square(left[~later]) > _FURTHER_OFF * root_mean_square(left[later]) else 0
+
+
 def with_known_starts(
     grids: Sequence[GriddedRecording], path: Floats, values: Mapping[str, Floats]
 ) -> Sequence[GriddedRecording]:
@@ -62,7 +84,7 @@ def with_known_starts(
     """
     first = [known_from(grid.current) for grid in grids]
     if not any(first) or any(
-        k > MOST_UNKNOWN * grid.current.size for k, grid in zip(first, grids, strict=True)
+        k > _MOST_UNKNOWN * grid.current.size for k, grid in zip(first, grids, strict=True)
     ):
         return grids
     ends = np.cumsum([0, *(grid.current.size + 1 for grid in grids)])
@@ -89,4 +111,4 @@ def _is_unknown(path: Floats, values: Floats, before: NDArray[np.bool_]) -> bool
     dictionary = PlayDictionary.over(float(path.min()), float(path.max()), **_GRID)
     fit = fit_dictionary(dictionary, path, np.where(before, np.nan, values), degree=_DEGREE, signed=True)
     left = fit.residual(path, values)
-    return root_mean_square(left[before]) > FURTHER_OFF * root_mean_square(left[~before])
+    return root_mean_square(left[before]) > _FURTHER_OFF * root_mean_square(left[~before])
