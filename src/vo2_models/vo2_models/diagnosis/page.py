@@ -48,13 +48,50 @@ def report_page(study: Study, diagnosis: Diagnosis) -> str:
     study : of the recordings
     diagnosis : what `assemble_diagnosis` made of it
     """
-    parts = [_agreement(study)] if diagnosis.verdict == "agrees" else [_where(study, diagnosis)]
+    parts = [_by_recording(diagnosis)] if diagnosis.recordings else []
+    parts.append(_agreement(study) if diagnosis.verdict == "agrees" else _where(study, diagnosis))
     if diagnosis.moved:
         parts.append(_moved(study, diagnosis))
     if diagnosis.effects:
         parts.append(_what(study, diagnosis))
     parts += [_gain(study, diagnosis), _next(diagnosis), _data(study, diagnosis)]
     return page("Diagnosis: simulation against recording", diagnosis.summary, parts)
+
+
+def _by_recording(diagnosis: Diagnosis) -> str:
+    """The answer of each recording: all else on the page is of one of them."""
+    rows = []
+    for day in diagnosis.recordings:
+        others = [name for name in day.judged_with if name != day.recording]
+        names = [
+            ", ".join(e.siblings or [e.id])
+            + (f" on {e.signal}" if e.signal and not e.siblings else "")
+            + f" ({e.probability:.2f})"
+            for e in day.effects
+        ]
+        figures = [
+            f"{name} {e.value:.4g} ± {e.std:.2g} {'' if e.unit == '1' else e.unit}"
+            for effect in day.effects
+            for name, e in effect.parameters.items()
+            if e.std
+        ] + [
+            f"{m.constant} {m.was:.5g} → {m.now:.5g} ± {m.std:.2g} {'' if m.unit == '1' else m.unit}"
+            for m in day.moved
+        ]
+        rows.append(
+            (day.recording, day.verdict, "; ".join(names), "; ".join(figures), ", ".join(others) or "itself")
+        )
+    return section(
+        "By recording",
+        paragraph(
+            "Not all recordings have the same answer. What follows below is of those that the summary names last."
+        ),
+        table(
+            "Answers",
+            ("recording", "verdict", "left out (probability)", "figures, standard deviation", "judged with"),
+            rows,
+        ),
+    )
 
 
 def _labels(study: Study) -> dict[str, tuple[str, str, float]]:

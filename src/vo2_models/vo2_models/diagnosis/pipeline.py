@@ -97,7 +97,7 @@ def study(
         try:
             answer = _study(recordings, calibration, nominal, names, limits, clock)
             if _may_be_of_some_only(answer):
-                answer = _of_some(answer, [*calibration, *recordings], nominal, limits, clock)
+                answer = _day_by_day(answer, [*calibration, *recordings], nominal, limits, clock)
         except Unusable as error:
             raise Unusable(nominal.model.description.in_own_names(str(error))) from error
     return replace(answer, seconds=time.perf_counter() - began)
@@ -113,7 +113,12 @@ def _study(
 ) -> Study:
     """The five stages over all recordings, in each of which the same acts."""
     reading = read([*calibration, *recordings], nominal, names, limits, clock, calibrations=len(calibration))
-    answer = _decided(reading, locate(reading, limits, clock), limits, clock)
+    return _answered(reading, locate(reading, limits, clock), limits, clock)
+
+
+def _answered(reading: Reading, located: Located, limits: Limits, clock: Clock) -> Study:
+    """Search and decision, about the constants that explain by themselves where these went far."""
+    answer = _decided(reading, located, limits, clock)
     alone = answer.decision.alone
     if alone is None or reading.nominal.model.description.has_body:
         return answer
@@ -153,7 +158,7 @@ def _may_be_of_some_only(answer: Study) -> bool:
     return len(chosen.keys) > 1 and not answer.reading.first_use
 
 
-def _of_some(
+def _day_by_day(
     together: Study, recordings: Sequence[Recording], nominal: Nominal, limits: Limits, clock: Clock
 ) -> Study:
     """The study of those recordings that do not agree by themselves, or of each, where that has an answer.
@@ -165,37 +170,46 @@ def _of_some(
     named_before = bool(first) and together.decision.chosen is not None
 
     def has_an_answer(answer: Study) -> bool:
-        return answer.decision.chosen is not None or (
-            answer.decision.verdict == "drifted" and not named_before
-        )
+        return answer.decision.chosen is not None or (answer.verdict == "drifted" and not named_before)
 
     def how_far(answer: Study) -> tuple[bool, bool, float]:
-        """The order of studies: a name before moved constants before none, then by how much is beyond the noise."""
-        return answer.decision.chosen is not None, has_an_answer(answer), answer.located.total_excess
+        """The order of studies: a name before none before moved constants, then by how much is beyond the noise."""
+        return answer.decision.chosen is not None, answer.verdict == "differs", answer.located.total_excess
 
-    def of(some: Sequence[int]) -> Study:
-        chosen, names = [recordings[k] for k in some], [parts[k].name for k in some]
-        clock.expected += SIMULATIONS
-        return _study(chosen, (), nominal, names, limits, clock)
-
-    agrees = []
+    begun = []
     for recording, part in zip(recordings, parts, strict=True):
-        alone = read([recording], nominal, [part.name], limits, clock)
-        agrees.append(not alone.evident and not locate(alone, limits, clock).is_loud(limits))
-    if not all(agrees[:first]):
+        reading = read([recording], nominal, [part.name], limits, clock)
+        begun.append((reading, locate(reading, limits, clock)))
+    loud = [k for k, (reading, located) in enumerate(begun) if reading.evident or located.is_loud(limits)]
+    if any(k < first for k in loud):
         return together
-    loud = [k for k, quiet in enumerate(agrees) if not quiet]
-    some = [of(loud)] if 0 < len(loud) < len(parts) else []
-    if some and has_an_answer(some[0]):
-        answers = some
-    elif len(loud) == 1:
-        answers = []
+
+    def by_themselves(which: Sequence[int]) -> dict[int, Study]:
+        clock.expected += SIMULATIONS
+        return {k: _answered(*begun[k], limits, clock) for k in which}
+
+    quiet = by_themselves([k for k in range(len(parts)) if k not in loud])
+    joint = None
+    if 1 < len(loud) < len(parts):
+        clock.expected += SIMULATIONS
+        some, names = [recordings[k] for k in loud], [parts[k].name for k in loud]
+        joint = _study(some, (), nominal, names, limits, clock)
+    if not loud:
+        days = quiet if any(map(has_an_answer, quiet.values())) else {}
+    elif joint and has_an_answer(joint) and not _may_be_of_some_only(joint):
+        days = quiet | dict.fromkeys(loud, joint)
     else:  # a day of its own for each: what constants take up by themselves differs from one to the next
-        answers = [of([k]) for k in loud or range(first, len(parts))]
-    if not any(map(has_an_answer, answers)):
-        answers = some if together.decision.chosen is None and not first else []
-    if not answers:
+        alone = by_themselves(loud)
+        if joint and has_an_answer(joint):
+            explained = all(has_an_answer(one) or one.verdict == "agrees" for one in alone.values())
+            days = quiet | (alone if explained else dict.fromkeys(loud, joint))
+        elif any(map(has_an_answer, alone.values())):
+            days = quiet | alone
+        elif quiet and together.decision.chosen is None and not first:
+            days = quiet | dict.fromkeys(loud, joint or alone[loud[0]])
+        else:
+            days = {}
+    if not days:
         return together
-    answer, *others = sorted(answers, key=how_far, reverse=True)
-    agreeing = tuple(part.name for part, quiet in zip(parts, agrees, strict=True) if quiet and loud)
-    return replace(answer, agreeing=agreeing, apart=tuple(others))
+    answer = max(days.values(), key=how_far)
+    return replace(answer, days=tuple((part.name, days[k]) for k, part in enumerate(parts)))

@@ -27,6 +27,7 @@ from vo2_models.diagnosis.result import (
     Location,
     MovedConstant,
     NamedEffect,
+    RecordingAnswer,
 )
 from vo2_models.diagnosis.stages import Study
 from vo2_models.effects.record import CHOICE
@@ -81,6 +82,7 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
     shown = [_shown(study, evident) for evident in study.shown]
     candidates = [*(_seen(study, evident) for evident in study.shown), *candidates]
     pairs = [list(pair) for pair in decision.rival_pairs]
+    days = _days(study)
     found = Diagnosis(
         verdict=verdict,
         moved=_moved(study),
@@ -90,9 +92,10 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
         fit=_fit(study),
         indistinguishable=pairs,
         next_experiment=decision.proposal,
-        summary=_of_some_in_words(
-            study, _device_in_words(study) + _shown_in_words(study, shown) + _summary(study, effects, pairs)
-        ),
+        summary=_by_day_in_words(study, days)
+        + _device_in_words(study)
+        + _shown_in_words(study, shown)
+        + _summary(study, effects, pairs),
         limits=[
             *limits_in_words(study.reading.findings),
             *_by_recording(study),
@@ -109,6 +112,7 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
         decision_limits=study.limits.with_provenance(),
         adequacy=_adequacy(study),
         own_misfit=_own_misfit(study),
+        recordings=days,
     )
     return in_own_names(found, study)
 
@@ -748,22 +752,41 @@ def _by_recording(study: Study) -> list[str]:
     return [text]
 
 
-def _of_some_in_words(study: Study, summary: str) -> str:
-    """The summary, with which recordings it is of, and what is said of the others, where it is not of all."""
-    if study.agreeing:
-        *some, last = study.agreeing
-        names = f"{', '.join(some)} and {last} agree" if some else f"{last} agrees"
-        others = " and ".join(name for one in (study, *study.apart) for name in _names(one))
-        summary = (
-            f"{names} with the simulation, moved constants apart: what differs is in {others} only. {summary}"
+def _days(study: Study) -> list[RecordingAnswer]:
+    """The answer of each recording, where not all have the same."""
+    told = {id(one): assemble_diagnosis(replace(one, days=())) for _, one in study.days}
+    return [
+        RecordingAnswer(name, own.verdict, own.effects, own.moved, _names(one))
+        for name, one, own in ((name, one, told[id(one)]) for name, one in study.days)
+    ]
+
+
+def _by_day_in_words(study: Study, days: Sequence[RecordingAnswer]) -> str:
+    """What is said of each recording, before what is said of those that the rest is of; empty where it is of all."""
+    if not days:
+        return ""
+    own = _names(study)
+    told = "; ".join(f"{day.recording} {_answer_in_words(day)}" for day in days)
+    return f"Not all recordings have the same answer: {told}. All else here is of {' and '.join(own)}. "
+
+
+def _answer_in_words(day: RecordingAnswer) -> str:
+    """An answer in a few words, with its figures."""
+    words = []
+    for effect in day.effects:
+        of = f"one of {', '.join(effect.siblings)}" if effect.siblings else effect.id
+        on = f" on {effect.signal}" if effect.signal and not effect.siblings else ""
+        figures = "".join(
+            f", {name} {e.value:.4g} +- {e.std:.2g}{'' if e.unit == '1' else ' ' + e.unit}"
+            for name, e in effect.parameters.items()
+            if e.std
         )
-    for other in study.apart:
-        summary += f" {' and '.join(_names(other))}, by itself: {assemble_diagnosis(other).summary}"
-    if not study.apart:
-        return summary
-    return (
-        f"Recordings differ in their own ways; all else here is of {' and '.join(_names(study))}. {summary}"
-    )
+        words.append(f"{of}{on} (probability {effect.probability:.2f}){figures}")
+    words += [
+        f"{m.constant} from {m.was:.5g} to {m.now:.5g} +- {m.std:.2g}{'' if m.unit == '1' else ' ' + m.unit}"
+        for m in day.moved
+    ]
+    return day.verdict + (f" ({'; '.join(words)})" if words else "")
 
 
 def _names(study: Study) -> list[str]:

@@ -23,6 +23,7 @@ __all__ = [
     "MovedConstant",
     "NamedEffect",
     "NextExperiment",
+    "RecordingAnswer",
     "validate",
 ]
 
@@ -135,6 +136,24 @@ class NextExperiment:
 
 
 @dataclass(frozen=True)
+class RecordingAnswer:
+    """What is said of one recording, where not all have the same answer.
+
+    Attributes
+    ----------
+    recording : its name
+    verdict, effects, moved : as of a diagnosis
+    judged_with : names of the recordings that were judged together, this one among them
+    """
+
+    recording: str
+    verdict: Literal["agrees", "drifted", "differs"]
+    effects: list[NamedEffect]
+    moved: list[MovedConstant]
+    judged_with: list[str]
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """Everything `diagnosis.json` holds.
 
@@ -143,7 +162,8 @@ class Diagnosis:
     that is `explained`, the excess power `left` beyond it in noise powers of a sample, and how surely its effects act, in
     standard deviations by the scatter over stretches (`sigmas`); `own_misfit`: of resistance and deflection size
     (`level`, log10 ohm or m) and length (`travel_k`, K) of the misfit that the calibration shows, and by how many noise
-    powers it missed the worst stretch of it that was left out (`left_out`).
+    powers it missed the worst stretch of it that was left out (`left_out`); `recordings`: the answer of each, in the order
+    given, where not all have the same. All else is of one of them then.
     """
 
     verdict: Literal["agrees", "drifted", "differs"]
@@ -162,16 +182,21 @@ class Diagnosis:
     decision_limits: dict[str, dict[str, float | str]] = field(default_factory=dict)
     adequacy: dict[str, float | list[str]] = field(default_factory=dict)
     own_misfit: dict[str, dict[str, float]] = field(default_factory=dict)
+    recordings: list[RecordingAnswer] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON types; `signal` is left out where an effect has none."""
         plain = {"schema": SCHEMA, **asdict(self)}
-        for entry in plain["moved"]:
-            entry["is"] = entry.pop("now")  # a keyword of Python
-        for key in ("effects", "candidates"):
-            plain[key] = [
-                {k: v for k, v in entry.items() if not (k == "signal" and v is None)} for entry in plain[key]
-            ]
+        for answer in (plain, *plain["recordings"]):
+            for entry in answer["moved"]:
+                entry["is"] = entry.pop("now")  # a keyword of Python
+            for key in ("effects", "candidates"):
+                answer |= {
+                    key: [
+                        {k: v for k, v in entry.items() if not (k == "signal" and v is None)}
+                        for entry in answer.get(key, [])
+                    ]
+                }
         return plain
 
     def save(self, path: str | Path) -> None:

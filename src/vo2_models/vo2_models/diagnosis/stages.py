@@ -27,9 +27,8 @@ class Study:
     decision : what is named, and how well it does
     limits : with which it was decided
     seconds : spent
-    agreeing : names of recordings that agree with the simulation by themselves, moved constants apart, while others differ:
-        all else is of those others
-    apart : studies of recordings of which each has an answer of its own, while all else is of one that is in none of them
+    days : name of each recording and the study that is of it, in the order given, where not all have the same answer: all else
+        is of one of these studies, which has none itself. Empty where all recordings are judged together
     """
 
     reading: Reading
@@ -38,8 +37,7 @@ class Study:
     decision: Decision
     limits: Limits
     seconds: float
-    agreeing: tuple[str, ...] = ()
-    apart: tuple[Study, ...] = ()
+    days: tuple[tuple[str, Study], ...] = ()
 
     @property
     def shown(self) -> tuple[Evident, ...]:
