@@ -333,7 +333,7 @@ def _shows(problem: LinearisedProblem, judged: HeldOut) -> bool:
 
 def _with_constants_held(problem: LinearisedProblem) -> LinearisedProblem:
     """The same problem, in which another day has moved no constant: what does as much as a move gains as much there."""
-    free = np.array([not constant.drifts for constant in problem.constants], dtype=bool)
+    free = np.array([not constant.held for constant in problem.constants], dtype=bool)
     nuisance = problem.nuisance
     return replace(problem, nuisance=replace(nuisance, thermal=nuisance.thermal * free))
 

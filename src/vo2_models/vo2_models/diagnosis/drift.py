@@ -14,7 +14,7 @@ from vo2_models.diagnosis.explain import Explanation
 from vo2_models.diagnosis.nuisance import Constant
 from vo2_models.diagnosis.problem import LinearisedProblem
 
-__all__ = ["Drift", "drift_of"]
+__all__ = ["Drift", "days_differ", "drift_of"]
 
 Floats = NDArray[np.float64]
 
@@ -85,14 +85,14 @@ class Drift:
         """Whether unchanged constants would move as far with at most this probability."""
         return bool(self.chi_square > chi2.isf(probability, len(self.constants)))
 
-    def of(self, names: Sequence[str]) -> Drift:
+    def of(self, places: Sequence[int]) -> Drift:
         """Return the moves of some constants, the others held where they were: P_SS^-1 b_S, see `fewest`.
 
         Parameters
         ----------
-        names : of the constants, in the order of the answer
+        places : of the constants, in the order of the answer
         """
-        own = [next(k for k, c in enumerate(self.constants) if c.name == name) for name in names]
+        own = list(places)
         precision = np.linalg.pinv(self.covariance, hermitian=True)
         covariance = np.linalg.pinv(precision[np.ix_(own, own)], hermitian=True)
         steps = covariance @ (precision @ self.steps)[own]
@@ -119,17 +119,47 @@ class Drift:
         """
         precision = np.linalg.pinv(self.covariance, hermitian=True)
         along = precision @ self.steps
-        found = []
-        for size in range(1, len(self.constants) + 1):
-            for places in combinations(range(len(self.constants)), size):
-                some = self.of([self.constants[k].name for k in places])
-                found.append((float(self.steps @ along - some.steps @ along[list(places)]), some))
-            found.sort(key=lambda one: one[0])
-            others = len(self.constants) - size
-            if not others or found[0][0] <= chi2.isf(probability, others):
+        total, items = len(self.constants), self._items()
+
+        def moved(some: Sequence[tuple[int, ...]]) -> tuple[bool, int, float, Drift]:
+            """Whether no other has moved beside some items, how many constants these are, what is left, and their moves."""
+            places = sorted({k for item in some for k in item})
+            drift = self.of(places)
+            left = float(self.steps @ along - drift.steps @ along[places])
+            others = total - len(places)
+            return not others or left <= chi2.isf(probability, others), len(places), left, drift
+
+        for size in range(1, len(items) + 1):
+            found = [moved(some) for some in combinations(items, size)]
+            if enough := [one[1:3] for one in found if one[0]]:
                 break
-            found = []
-        return [*(drift for left, drift in found if left <= found[0][0] + rival), *self.others]
+        # a room of each recording's own leaves less than one of all, and is no rival of that
+        count, least = min(enough)
+        near = [one for one in found if one[1] == count and one[2] <= least + rival]
+        return [*(one[3] for one in sorted(near, key=lambda one: one[2])), *self.others]
+
+    def _items(self) -> list[tuple[int, ...]]:
+        """Places of each constant, and of all columns of one that is another one in each recording."""
+        common = [(k,) for k, c in enumerate(self.constants) if c.part is None]
+        names = dict.fromkeys(c.name for c in self.constants if c.part is not None)
+        return common + [tuple(k for k, c in enumerate(self.constants) if c.name == name) for name in names]
+
+    def of_each_recording(self) -> Drift:
+        """Return the same told by recording: of a constant that is another one in each, what it is there in all."""
+        own = {c.name for c in self.constants if c.part is not None}
+        kept = [k for k, c in enumerate(self.constants) if c.part is not None or c.name not in own]
+        into = np.zeros((len(kept), len(self.constants)))
+        for row, k in enumerate(kept):
+            constant = self.constants[k]
+            for place, c in enumerate(self.constants):
+                if place == k or (c.part is None and c.name == constant.name):
+                    into[row, place] = c.spread / constant.spread
+        return replace(
+            self,
+            constants=tuple(self.constants[k] for k in kept),
+            steps=into @ self.steps,
+            covariance=into @ self.covariance @ into.T,
+        )
 
 
 def drift_of(problem: LinearisedProblem, residual: Floats, chosen: Explanation | None = None) -> Drift:
@@ -164,3 +194,41 @@ def drift_of(problem: LinearisedProblem, residual: Floats, chosen: Explanation |
         across = influence.T @ chosen.tangent
         scaled = scaled + across @ chosen.covariance @ across.T
     return Drift(constants, weights[first:][places], scaled, weights[first:])
+
+
+def days_differ(problem: LinearisedProblem, residual: Floats, probability: float) -> bool:
+    """Return whether constants that are taken to be the same in all recordings are not.
+
+    Parameters
+    ----------
+    problem : over several recordings
+    residual : (N,) whitened, about the model's own constants, what is named taken out
+    probability : as `Drift.significant` takes it
+    """
+    common = [(place, c) for place, c in enumerate(problem.constants) if c.held]
+    own = {c.name for c in problem.constants if c.part is not None}
+    columns, constants = [], []
+    for part in range(1, len(problem.parts)):
+        here = np.zeros(problem.weight.size, dtype=np.bool_)
+        for row in problem.rows:
+            here[row.where] = row.part == part
+        for place, constant in common:
+            if constant.name not in own:
+                columns.append(np.where(here, problem.nuisance.thermal[:, place], 0.0))
+                constants.append(replace(constant, part=part))
+    if not columns:
+        return False
+    thermal = np.column_stack([problem.nuisance.thermal, *columns])
+    wider = replace(
+        problem,
+        nuisance=replace(problem.nuisance, thermal=thermal),
+        constants=(*problem.constants, *constants),
+    )
+    drift = drift_of(wider, residual)
+    added = slice(len(drift.constants) - len(constants), None)
+    return replace(
+        drift,
+        constants=tuple(constants),
+        steps=drift.steps[added],
+        covariance=drift.covariance[added, added],
+    ).significant(probability)

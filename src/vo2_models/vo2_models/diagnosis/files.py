@@ -62,7 +62,7 @@ def write_results(
     # nothing is written before everything is known to be sound
     validate(diagnosis.to_dict())
     names = ", ".join(e.id for e in diagnosis.effects) or "none"
-    moved = ", ".join(m.constant for m in diagnosis.moved) or "none"
+    moved = ", ".join(map(str, diagnosis.moved)) or "none"
     save_model_parameters(
         folder / "corrected_model.yaml",
         corrected.parameters,

@@ -153,7 +153,11 @@ def moved_alone(problem: LinearisedProblem, limits: Limits, *, rival: float = 0.
     with as many other constants in `others` that leave no more, in units of what is left
     """
     # a dead time that is another one is an effect by its name
-    free = [k for k, c in enumerate(problem.constants) if c.drifts and c.name != "driver.dead_time"]
+    free = [
+        k
+        for k, c in enumerate(problem.constants)
+        if c.drifts and c.part is None and c.name != "driver.dead_time"
+    ]
     if not free or problem.loop_origin:
         return None
     # how well the calibration has told each, in units of its move
@@ -222,7 +226,8 @@ def _seen(problem: LinearisedProblem, drift: Drift) -> bool:
 
 def _with_free_loops(problem: LinearisedProblem, alone: Drift) -> Drift:
     """The same constants where the refit of the loops puts them, if that is within a deviation: misfit biases it less."""
-    free = drift_of(problem, problem.residual).of([c.name for c in alone.constants])
+    every = drift_of(problem, problem.residual)
+    free = every.of([every.constants.index(c) for c in alone.constants])
     if np.any((free.steps - alone.steps) ** 2 > np.diag(alone.covariance)):
         return alone
     weights = alone.weights.copy()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ __all__ = [
     "Constant",
     "Coverage",
     "constants_of",
+    "constants_of_each",
     "coverage",
     "coverage_of",
     "law_columns",
@@ -103,6 +104,7 @@ class Constant:
     drifts : True where the device has changed since its calibration, and the loops are as they were calibrated; False
         where the calibration did not know better, and the loops go along with the lags
     straight : move, in units of `spread`, over which the simulation is linear in it
+    part : place of the recording that it is of, beside what it is in all; None where it is the same in all
     """
 
     name: str
@@ -111,6 +113,12 @@ class Constant:
     spread: float
     drifts: bool = False
     straight: float = 1.0
+    part: int | None = None
+
+    @property
+    def held(self) -> bool:
+        """Whether it stays where the calibration left it while an effect is sought in its place: not a day's room."""
+        return self.drifts and self.part is None
 
 
 ANOTHER_DAY = {
@@ -128,6 +136,8 @@ ANOTHER_DAY = {
 deflection's zero as a share of its range, of the others as a share of the value. A room is held within 1 K, a thermal
 grease or a clamp set anew changes a time constant by some per cent but no dead time, an optical lever is aligned to some
 tenths of a micrometre, a meter keeps its gain within a per cent. Assumed: no statistics over days are published."""
+OF_A_DAY = ("thermal.ambient", "deflection.zero")
+"""Of these what is hardly the same on two days: the room, where there is a body that is in it, and the zero."""
 OF_A_RESPONSE = 0.05
 """The same of zero and gain on a device without body, of which nothing is known: an amplifier, a load cell, a clamp."""
 
@@ -140,6 +150,22 @@ def constants_of(nominal: Nominal) -> tuple[Constant, ...]:
     nominal : fitted simulation
     """
     return (*_calibrated(nominal.model), *_drifting(nominal))
+
+
+def constants_of_each(nominal: Nominal, recordings: int, calibrations: int) -> tuple[Constant, ...]:
+    """Return what may be another one in each of several recordings, which are of a day each, beside what it is in all of them.
+
+    Where calibrations are among the recordings, and the device is fitted anew, it is told from the first.
+
+    Parameters
+    ----------
+    nominal : fitted simulation
+    recordings, calibrations : number of all, and of the first ones that are calibrations
+    """
+    body = preset(nominal.device).has_body
+    of_a_day = [c for c in _drifting(nominal) if c.name == OF_A_DAY[1] or (body and c.name == OF_A_DAY[0])]
+    parts = range(min(calibrations, 1), recordings) if recordings > 1 else ()
+    return tuple(replace(c, part=k) for k in parts for c in of_a_day)
 
 
 REFITTED = {

@@ -75,7 +75,7 @@ def _by_recording(diagnosis: Diagnosis) -> str:
             for name, e in effect.parameters.items()
             if e.std
         ] + [
-            f"{m.constant} {m.was:.5g} → {m.now:.5g} ± {m.std:.2g} {'' if m.unit == '1' else m.unit}"
+            f"{m} {m.was:.5g} → {m.now:.5g} ± {m.std:.2g} {'' if m.unit == '1' else m.unit}"
             for m in day.moved
         ]
         rows.append(
@@ -337,7 +337,7 @@ def _what(study: Study, diagnosis: Diagnosis) -> str:
 def _moved(study: Study, diagnosis: Diagnosis) -> str:
     """Constants that have moved since the calibration."""
     rows = [
-        (m.constant, f"{m.was:.6g}", f"{m.now:.6g}", f"{m.std:.2g}", "" if m.unit == "1" else m.unit)
+        (str(m), f"{m.was:.6g}", f"{m.now:.6g}", f"{m.std:.2g}", "" if m.unit == "1" else m.unit)
         for m in diagnosis.moved
     ]
     return section(

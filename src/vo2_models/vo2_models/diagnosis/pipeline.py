@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from vo2_models.diagnosis.check import Unusable
 from vo2_models.diagnosis.corrected_model import distance
 from vo2_models.diagnosis.decide import decide, told_as, without_a_name
+from vo2_models.diagnosis.drift import days_differ
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import Located, locate
 from vo2_models.diagnosis.nominal import Nominal
@@ -149,10 +150,16 @@ def _decided(reading: Reading, located: Located, limits: Limits, clock: Clock) -
 
 
 def _may_be_of_some_only(answer: Study) -> bool:
-    """Whether what is told may have come between the recordings: no name, several, or one that goes on and off or drifts."""
+    """Whether what is told may have come between the recordings: no name, several, one that goes on and off or drifts.
+
+    Or, where nothing is named, constants that are not the same in all recordings.
+    """
     chosen = answer.decision.chosen
-    if answer.decision.verdict != "differs" or len(answer.reading.parts) < 2:
+    if len(answer.reading.parts) < 2:
         return False
+    if answer.decision.verdict != "differs":
+        problem = answer.decision.final
+        return not answer.reading.first_use and days_differ(problem, problem.residual, answer.limits.drift_p)
     if chosen is None or any(h.key in chosen.courses or h.switches for h in chosen.hypotheses):
         return True
     return len(chosen.keys) > 1 and not answer.reading.first_use
@@ -172,9 +179,10 @@ def _day_by_day(
     def has_an_answer(answer: Study) -> bool:
         return answer.decision.chosen is not None or (answer.verdict == "drifted" and not named_before)
 
-    def how_far(answer: Study) -> tuple[bool, bool, float]:
+    def how_far(answer: Study) -> tuple[bool, int, float]:
         """The order of studies: a name before none before moved constants, then by how much is beyond the noise."""
-        return answer.decision.chosen is not None, answer.verdict == "differs", answer.located.total_excess
+        rank = ("agrees", "drifted", "differs").index(answer.verdict)
+        return answer.decision.chosen is not None, rank, answer.located.total_excess
 
     begun = []
     for recording, part in zip(recordings, parts, strict=True):
@@ -195,7 +203,8 @@ def _day_by_day(
         some, names = [recordings[k] for k in loud], [parts[k].name for k in loud]
         joint = _study(some, (), nominal, names, limits, clock)
     if not loud:
-        days = quiet if any(map(has_an_answer, quiet.values())) else {}
+        told = any(has_an_answer(one) or one.verdict == "differs" for one in quiet.values())
+        days = quiet if told and not named_before else {}
     elif joint and has_an_answer(joint) and not _may_be_of_some_only(joint):
         days = quiet | dict.fromkeys(loud, joint)
     else:  # a day of its own for each: what constants take up by themselves differs from one to the next

@@ -146,27 +146,32 @@ class LinearisedProblem:
         return {c: e + share * self.count_by_channel[c] for c, e in split(vector - moved).items()}
 
     def responses(
-        self, effects: Effects, shift: Floats | None = None, *, fine: bool = True
+        self, effects: Effects, shift: Floats | None = None, *, fine: bool = True, only: int | None = None
     ) -> list[Response]:
-        """Simulate every part with effects beside the included ones, thermal parameters moved by `shift` columns."""
-        values = self.moved(self.origin if shift is None else shift)
+        """Simulate every part with effects beside the included ones, thermal parameters moved by `shift` columns.
+
+        With `only`, that part alone; the others are as they are nominally.
+        """
+        shift = self.origin if shift is None else shift
         given = {**self.included, **effects}
         return [
             self.nominal.respond(
                 part.current,
                 part.dt,
                 effects=given,
-                constants=values,
+                constants=self.moved(shift, place),
                 settled=part.settled,
                 fine=fine,
                 course=_course(self.courses, given, place, part),
             )
+            if only in (None, place)
+            else self.nominal_responses[place]
             for place, part in enumerate(self.parts)
         ]
 
-    def moved(self, shift: Floats) -> dict[str, float]:
-        """Constants moved from the model's by `shift` (t,), in units of their columns."""
-        return _moved(self.constants, shift, self.parts)
+    def moved(self, shift: Floats, place: int | None = None) -> dict[str, float]:
+        """Constants moved from the model's by `shift` (t,), in units of their columns: of one recording, or of all on average."""
+        return _moved(self.constants, shift, self.parts, place)
 
     def curved(self, move: Floats) -> float:
         """Largest part of a move (t,) of the constants, in units of what the simulation is linear over."""
@@ -185,8 +190,8 @@ class LinearisedProblem:
         return found
 
     def column_of(self, name: str) -> int | None:
-        """Which of the thermal columns is a constant's; None for none."""
-        return next((k for k, c in enumerate(self.constants) if c.name == name), None)
+        """Which of the thermal columns is that of a constant in all recordings; None for none."""
+        return next((k for k, c in enumerate(self.constants) if c.name == name and c.part is None), None)
 
     def stack(self, responses: Sequence[Response], reference: Sequence[Response] | None = None) -> Floats:
         """Whitened (N,) difference of responses from a reference (by default the nominal ones)."""
@@ -358,14 +363,13 @@ def linearise_problem(
             for c, s in shapes.items()
         },
     )
-    values = _moved(constants, origin, parts)
     say("simulating the recordings")
     responses = [
         corrected.respond(
             p.current,
             p.dt,
             effects=effects,
-            constants=values,
+            constants=_moved(constants, origin, parts, place),
             settled=p.settled,
             course=_course(courses or {}, effects or {}, place, p),
         )
@@ -442,23 +446,24 @@ def _course(
 
 def _constant_columns(problem: LinearisedProblem) -> Floats:
     """Whitened change (N, t) of the simulation by each constant's spread, the loops held; by differences."""
-    widest: dict[str, int] = {}
+    widest: dict[tuple[str, int | None], int] = {}
     for place, constant in enumerate(problem.constants):
-        known = widest.get(constant.name)
+        known = widest.get((constant.name, constant.part))
         if known is None or constant.spread * constant.straight > problem.constants[known].spread * (
             problem.constants[known].straight
         ):
-            widest[constant.name] = place
+            widest[constant.name, constant.part] = place
 
     def by_unit(place: int) -> Floats:
         """Change per unit of the constant."""
         constant = problem.constants[place]
         step = np.zeros(len(problem.constants))
         step[place] = STEP * constant.straight
-        return problem.stack(problem.responses({}, problem.origin + step)) / (step[place] * constant.spread)
+        there = problem.responses({}, problem.origin + step, only=constant.part)
+        return problem.stack(there) / (step[place] * constant.spread)
 
     columns = dict(zip(widest, parallel_map(by_unit, widest.values()), strict=True))
-    return np.column_stack([c.spread * columns[c.name] for c in problem.constants])
+    return np.column_stack([c.spread * columns[c.name, c.part] for c in problem.constants])
 
 
 def _loop_coupling(problem: LinearisedProblem) -> Floats:
@@ -479,12 +484,20 @@ def _loop_coupling(problem: LinearisedProblem) -> Floats:
     return out
 
 
-def _moved(constants: Sequence[Constant], shift: Floats, parts: Sequence[Part]) -> dict[str, float]:
-    """Values of the constants, each moved by all of its columns, as far as a device may be and the simulation can go."""
+def _moved(
+    constants: Sequence[Constant], shift: Floats, parts: Sequence[Part], place: int | None = None
+) -> dict[str, float]:
+    """Values of the constants, each moved by all of its columns, as far as a device may be and the simulation can go.
+
+    They are those of the recording at `place`, or what they are on average over the recordings.
+    """
     before = {c.name: c.value for c in constants}
     moved = dict(before)
     for constant, z in zip(constants, shift, strict=True):
-        moved[constant.name] += constant.spread * float(z)
+        weight = 1.0
+        if constant.part is not None:
+            weight = 1.0 / len(parts) if place is None else float(constant.part == place)
+        moved[constant.name] += weight * constant.spread * float(z)
     if (lag := "thermal.time_constant") in moved:
         moved[lag] = max(moved[lag], QUICKEST * before[lag])
     if (delay := "driver.dead_time") in moved:

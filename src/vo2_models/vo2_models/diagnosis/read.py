@@ -24,6 +24,7 @@ from vo2_models.diagnosis.nuisance import (
     Constant,
     Coverage,
     constants_of,
+    constants_of_each,
     coverage,
     coverage_of,
     refitted_constants,
@@ -178,6 +179,9 @@ def read(
     if repeating:
         findings = [*findings, ONE_LOOP]
     constants = refitted_constants(nominal) if calibrations else constants_of(nominal)
+    each = constants_of_each(nominal, len(parts), calibrations)
+    # those that a search holds come last, see `Constant.held`
+    constants = (*(c for c in constants if not c.held), *each, *(c for c in constants if c.held))
     return Reading(
         nominal, shapes, tuple(parts), tuple(findings), repeating, constants, calibrations,
         (*evident, *lines),

@@ -176,12 +176,19 @@ def _sets_of_moved(study: Study) -> list[Drift]:
 
 
 def _told_moves(study: Study, drift: Drift) -> list[MovedConstant]:
-    """The moves of a drift as they are told, surest first."""
+    """The moves of a drift as they are told, surest first; of one that is another one in each recording, those that are sure."""
+    drift = drift.of_each_recording()
     return [
         MovedConstant(
-            c.name, c.value, c.value + float(drift.move[k]), float(drift.std[k]), _unit(c.unit, study)
+            c.name,
+            c.value,
+            c.value + float(drift.move[k]),
+            float(drift.std[k]),
+            _unit(c.unit, study),
+            study.located.problem.parts[c.part].name if c.part is not None else "",
         )
         for k, c in ((k, drift.constants[k]) for k in np.argsort(-drift.sigmas))
+        if c.part is None or drift.sigmas[k] >= study.limits.constant_moved
     ]
 
 
@@ -194,7 +201,7 @@ def _unit(unit: str, study: Study) -> str:
 
 def _moved_in_words(study: Study, moved: Sequence[MovedConstant]) -> str:
     return ", ".join(
-        f"{m.constant} from {m.was:.5g} to {m.now:.5g} +- {m.std:.2g}{'' if m.unit == '1' else ' ' + m.unit}"
+        f"{m} from {m.was:.5g} to {m.now:.5g} +- {m.std:.2g}{'' if m.unit == '1' else ' ' + m.unit}"
         + _as_drive(study, m)
         for m in moved
     )
@@ -223,7 +230,7 @@ def moved_in_place(study: Study) -> list[str]:
     ----------
     study : what the stages found
     """
-    sets = [" with ".join(m.constant for m in _told_moves(study, drift)) for drift in _sets_of_moved(study)]
+    sets = [" with ".join(str(m) for m in _told_moves(study, drift)) for drift in _sets_of_moved(study)]
     if len(sets) < 2:
         return []
     *others, last = sets[1:OTHERS] if len(sets) <= OTHERS else [*sets[1:OTHERS], "others"]
@@ -783,7 +790,7 @@ def _answer_in_words(day: RecordingAnswer) -> str:
         )
         words.append(f"{of}{on} (probability {effect.probability:.2f}){figures}")
     words += [
-        f"{m.constant} from {m.was:.5g} to {m.now:.5g} +- {m.std:.2g}{'' if m.unit == '1' else ' ' + m.unit}"
+        f"{m} from {m.was:.5g} to {m.now:.5g} +- {m.std:.2g}{'' if m.unit == '1' else ' ' + m.unit}"
         for m in day.moved
     ]
     return day.verdict + (f" ({'; '.join(words)})" if words else "")

@@ -84,13 +84,18 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class MovedConstant:
-    """A constant that has moved since the calibration."""
+    """A constant that has moved since the calibration; in one `recording` only where that is not empty."""
 
     constant: str
     was: float
     now: float
     std: float
     unit: str
+    recording: str = ""
+
+    def __str__(self) -> str:
+        """Its name, and which recording it is of."""
+        return self.constant + (f" of {self.recording}" if self.recording else "")
 
 
 @dataclass(frozen=True)
@@ -190,6 +195,8 @@ class Diagnosis:
         for answer in (plain, *plain["recordings"]):
             for entry in answer["moved"]:
                 entry["is"] = entry.pop("now")  # a keyword of Python
+                if not entry["recording"]:
+                    del entry["recording"]
             for key in ("effects", "candidates"):
                 answer |= {
                     key: [

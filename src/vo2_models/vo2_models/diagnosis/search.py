@@ -292,7 +292,7 @@ def _with_fixed_constants(
     fixed = linearise_problem(
         located.nominal,
         problem.parts,
-        constants=[c for c in problem.constants if not c.drifts],
+        constants=[c for c in problem.constants if not c.held],
         shapes=problem.shapes,
         loops=problem.loops,
         say=clock.say,
