@@ -75,6 +75,24 @@ class CorrectedModel:
     nrmse: Mapping[str, float]
 
 
+@dataclass(frozen=True)
+class _Written:
+    """What may be written down.
+
+    Attributes
+    ----------
+    parameters : of the model file; a constant that is another one in each recording has their mean
+    apart : constant -> how far it is from that mean, of each recording; empty where none is
+    """
+
+    parameters: Mapping[str, Value]
+    apart: tuple[Mapping[str, float], ...] = ()
+
+    def of_part(self, place: int) -> Mapping[str, float]:
+        """Return what a recording differs by from the file."""
+        return self.apart[place] if self.apart else {}
+
+
 def stand_in(study: Study) -> StandIn | None:
     """Return the terms that come nearest to what has no name; None where everything has one, or no term is near.
 
@@ -112,7 +130,7 @@ def corrected_model(study: Study) -> CorrectedModel:
     """Return the model with effects and moved constants, and what else brings it nearer to the recordings.
 
     What a diagnosis leaves, it leaves beside loops that it lets change a little, and beside constants that are not told. A
-    file does not hold all that. Written down are effects and told constants; with those that the fit moved beside them, or
+    file does not hold all that. _Written down are effects and told constants; with those that the fit moved beside them, or
     with loops fitted anew as well, where that is nearer to the recordings. Terms for what has no name are written down only
     where they bring the model nearer.
 
@@ -122,10 +140,10 @@ def corrected_model(study: Study) -> CorrectedModel:
     """
     as_it_is = dict(study.located.nominal.parameters)
     if study.verdict == "agrees":
-        return CorrectedModel(as_it_is, None, _judged(study, as_it_is)[1])
+        return CorrectedModel(as_it_is, None, _judged(study, _Written(as_it_is))[1])
     unnamed = stand_in(study)
     if unnamed is not None:
-        parameters, nrmse = _nearest(study, [as_it_is, *_written(study, unnamed)])
+        parameters, nrmse = _nearest(study, [_Written(as_it_is), *_written(study, unnamed)])
         if parameters is not as_it_is:
             return CorrectedModel(parameters, unnamed, nrmse)
     # what is told is in the file, however little of the residual it is
@@ -143,33 +161,40 @@ def distance(study: Study) -> float:
     ----------
     study : with a decision that names something
     """
-    as_it_is = _judged(study, study.located.nominal.parameters)[0]
-    corrected = min(_judged(study, parameters)[0] for parameters in _written(study, None))
+    as_it_is = _judged(study, _Written(study.located.nominal.parameters))[0]
+    corrected = min(_judged(study, written)[0] for written in _written(study, None))
     return float(np.sqrt(corrected / max(as_it_is, 1e-300)))
 
 
-def _nearest(
-    study: Study, candidates: Iterable[dict[str, Value]]
-) -> tuple[dict[str, Value], dict[str, float]]:
+def _nearest(study: Study, candidates: Iterable[_Written]) -> tuple[Mapping[str, Value], dict[str, float]]:
     """The first of the candidates, or a later one that leaves clearly less; with what it leaves of each channel."""
-    best, least, nrmse = dict[str, Value](), np.inf, dict[str, float]()
-    for parameters in candidates:
-        square, left = _judged(study, parameters)
+    best: Mapping[str, Value] = {}
+    least, nrmse = np.inf, dict[str, float]()
+    for written in candidates:
+        square, left = _judged(study, written)
         if not best or square < (1.0 - WORTH) * least:
-            best, least, nrmse = parameters, square, left
+            best, least, nrmse = written.parameters, square, left
     return best, nrmse
 
 
-def _judged(study: Study, parameters: Mapping[str, Value]) -> tuple[float, dict[str, float]]:
+def _judged(study: Study, written: _Written) -> tuple[float, dict[str, float]]:
     """Squared residual of the recordings over their noise, and of each channel the root mean square over its range."""
     problem = study.located.problem
-    nominal = Nominal.from_parameters(parameters)
+    nominal = Nominal.from_parameters(written.parameters)
     # periodic interference was taken out of what is compared
     kept = {
         k: v for k, v in nominal.model.effects.items() if "line" not in records()[k.partition(":")[0]].hooks
     }
     nominal = replace(nominal, model=replace(nominal.model, effects=kept), corrections={})
-    responses = [nominal.respond(part.current, part.dt, settled=part.settled) for part in problem.parts]
+    responses = [
+        nominal.respond(
+            part.current,
+            part.dt,
+            settled=part.settled,
+            constants={n: nominal.model.scalars.get(n, 0.0) + d for n, d in written.of_part(place).items()},
+        )
+        for place, part in enumerate(problem.parts)
+    ]
     total, squares, counts = 0.0, dict[str, float](), dict[str, int]()
     for row in problem.rows:
         part = problem.parts[row.part]
@@ -183,7 +208,7 @@ def _judged(study: Study, parameters: Mapping[str, Value]) -> tuple[float, dict[
     return total, errors
 
 
-def _written(study: Study, unnamed: StandIn | None) -> Iterator[dict[str, Value]]:
+def _written(study: Study, unnamed: StandIn | None) -> Iterator[_Written]:
     """Parameters with what was found, and what else may be beside it."""
     flat, decision = dict(study.located.nominal.parameters), study.decision
     final, chosen = decision.final, decision.chosen
@@ -193,8 +218,10 @@ def _written(study: Study, unnamed: StandIn | None) -> Iterator[dict[str, Value]
     shown = {key: values for evident in study.reading.evident for key, values in evident.effects.items()}
     rest = final.residual - chosen.deviation if chosen else final.residual
 
-    def with_constants(moves: Floats, laws: Mapping[str, Law]) -> dict[str, Value]:
+    def with_constants(bases: Mapping[str, Value], moves: Floats, laws: Mapping[str, Law]) -> _Written:
         values = final.moved(moves)
+        own = [final.moved(moves, place) for place in range(len(final.parts))]
+        apart = {c.name for c in final.constants if c.part is not None}
         zero, gain = values.get("deflection.zero", 0.0), values.get("deflection.gain", 1.0)
         moved = replace(
             model,
@@ -206,7 +233,10 @@ def _written(study: Study, unnamed: StandIn | None) -> Iterator[dict[str, Value]
                 laws["resistance"], 1.0, (1.0 - values.get("resistance.gain", 1.0)) / np.log(10.0)
             ),
         )
-        return moved.to_parameters()
+        return _Written(
+            {**bases, **moved.to_parameters()},
+            tuple({name: each[name] - values[name] for name in apart} for each in own),
+        )
 
     laws = {"resistance": model.resistance, "deflection": model.deflection}
     together = drift_of(final, rest).weights
@@ -215,15 +245,15 @@ def _written(study: Study, unnamed: StandIn | None) -> Iterator[dict[str, Value]
         told = _told(study)
         only = np.array([c in told for c in final.constants])
         moves = _moves(study, rest, told)
-        yield flat | with_constants(np.where(only, moves, 0.0), laws)
-        yield flat | with_constants(moves, laws)
+        yield with_constants(flat, np.where(only, moves, 0.0), laws)
+        yield with_constants(flat, moves, laws)
     else:
-        yield flat | with_constants(together, laws)
+        yield with_constants(flat, together, laws)
     # what the calibration left over was left over by the loops as they were
     bare = {name: value for name, value in flat.items() if not name.startswith("model.enrichment.")}
     refitted = _refitted(final, rest, laws)
     if refitted:
-        yield bare | with_constants(together, laws | refitted)
+        yield with_constants(bare, together, laws | refitted)
 
 
 def _told(study: Study) -> tuple[Constant, ...]:

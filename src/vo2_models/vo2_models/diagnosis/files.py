@@ -53,6 +53,8 @@ def write_results(
         said.append(
             f"corrected_model.yaml holds constants that were fitted beside the answer and are not told to have moved: {fitted}"
         )
+    if means := sorted({m.constant for m in diagnosis.moved if m.recording}):
+        said.append(f"corrected_model.yaml holds the mean over the recordings of {', '.join(means)}")
     if study.verdict != "agrees":
         said += _farther_off(corrected, diagnosis, study)
     diagnosis = replace(
