@@ -159,7 +159,13 @@ def _summary(result: FitResult) -> list[str]:
     ):
         std = result.model.uncertainty.get(name)
         if std:
-            lines.append(f"{name}: {result.model.scalars[name]:.5g} +- {std[0]:.2g} {unit}")
+            line = f"{name}: {result.model.scalars[name]:.5g} +- {std[0]:.2g} {unit}"
+            if name == "thermal.time_constant" and not device.has_body:
+                line += (
+                    ", if the drive is held over a sample (half a sample period less if it goes straight) and the law is right: "
+                    "creep, or a residual of many times the noise, can move it by far more"
+                )
+            lines.append(line)
     if device.has_body:
         for role, law in ((RESISTANCE, result.model.resistance), (TIP_DEFLECTION, result.model.deflection)):
             if isinstance(law, PlayBank) and law.present:

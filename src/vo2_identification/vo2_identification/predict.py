@@ -153,7 +153,7 @@ def prediction_page(prediction: Prediction, model: DeviceModel) -> str:
     prediction : in roles
     model : that made it
     """
-    from vo2_models.page.figures import COLOURS, figure_html, new_figure
+    from vo2_models.page.figures import COLOURS, drawn, figure_html, new_figure
     from vo2_models.page.page import page, paragraph, section
 
     device = model.description
@@ -161,13 +161,15 @@ def prediction_page(prediction: Prediction, model: DeviceModel) -> str:
     for role, shown in prediction.channels.items():
         name, (unit, factor) = device.names[role], shown_unit(device.units[role])
         judged = shown.measured is not None
-        measured = factor * shown.measured if shown.measured is not None else None
+        gap = () if shown.measured is None else (shown.measured, shown.measured - shown.value)
+        some = drawn(prediction.drive, shown.value, *gap)
+        time_s, drive = prediction.time_s[some], prediction.drive[some]
         one = replace(
             shown,
-            value=factor * shown.value,
-            lower=factor * shown.lower,
-            upper=factor * shown.upper,
-            measured=measured,
+            value=factor * shown.value[some],
+            lower=factor * shown.lower[some],
+            upper=factor * shown.upper[some],
+            measured=factor * shown.measured[some] if shown.measured is not None else None,
         )
         with new_figure(height_in=4.4 if judged else 3.2) as figure:
             heights = (3, 1) if judged else (1,)
@@ -175,18 +177,18 @@ def prediction_page(prediction: Prediction, model: DeviceModel) -> str:
                 "cl;dl" if judged else "cl", width_ratios=(2, 1), height_ratios=heights
             )
             course, loop = places["c"], places["l"]
-            for axes, x in ((course, prediction.time_s), (loop, prediction.drive)):
+            for axes, x in ((course, time_s), (loop, drive)):
                 if one.measured is not None:
                     axes.plot(x, one.measured, color=COLOURS["true"], label="measured")
                 axes.plot(x, one.value, color=COLOURS["fit"], linestyle="--", label="predicted")
                 axes.set_yscale("log" if role == RESISTANCE else "linear")
             course.fill_between(
-                prediction.time_s, one.lower, one.upper, color=COLOURS["fit"], alpha=0.2, label="95 % bounds"
+                time_s, one.lower, one.upper, color=COLOURS["fit"], alpha=0.2, label="95 % bounds"
             )
             if judged:
                 _residual(
                     places["d"],
-                    prediction.time_s,
+                    time_s,
                     one,
                     f"log10 {unit}" if role == RESISTANCE else unit,
                 )

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import html
 import io
+import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from vo2_models.page.page import figure as figure_part
 
-__all__ = ["COLOURS", "figure_html", "figure_svg", "new_figure"]
+__all__ = ["COLOURS", "drawn", "figure_html", "figure_svg", "new_figure"]
 
 COLOURS = {
     "true": "#000000",
@@ -37,6 +40,33 @@ _RC: dict[Any, Any] = {
     "lines.linewidth": 1.0,
     "path.simplify_threshold": 0.5,
 }
+
+
+STRETCHES = 800
+"""Stretches of a long course of which smallest and largest values are drawn: more than the columns of pixels of a print."""
+
+
+def drawn(*columns: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the samples that a line through long columns needs to look as through all: where each is least and largest.
+
+    Parameters
+    ----------
+    columns : (n,) each; NaN where missing
+
+    Returns
+    -------
+    array : places in order, all of them of short columns
+    """
+    count = columns[0].size
+    if count <= 2 * len(columns) * STRETCHES:
+        return np.arange(count)
+    edges = np.arange(STRETCHES + 1) * count // STRETCHES
+    kept = set(edges[:-1].tolist())
+    for column in columns:
+        low, high = (np.where(np.isfinite(column), column, missing) for missing in (np.inf, -np.inf))
+        for a, b in itertools.pairwise(edges.tolist()):
+            kept |= {a + int(np.argmin(low[a:b])), a + int(np.argmax(high[a:b]))}
+    return np.array(sorted(kept), dtype=np.intp)
 
 
 @contextmanager
