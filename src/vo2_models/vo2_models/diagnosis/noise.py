@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 from scipy.signal import lfilter, lfiltic
 
 __all__ = ["LONGEST", "NoiseModel", "fit_noise", "level_from_differences", "outliers", "samples_apart"]
@@ -27,6 +27,8 @@ ABOUT = 11
 """Samples, itself among them, from which is seen what is usual about one."""
 FEW_ABOUT, CLOSE = 7, 0.1
 """Samples of which up to three may be off together, and share of what these are off that the others may be."""
+NEAR_BY = 7
+"""Samples over which what a late reading may show is looked for, half of them on either side."""
 SELDOM = 0.1
 """Share of the edges of a signal at which samples stand alone, up to which they are no late readings."""
 RARE = 0.02
@@ -155,7 +157,7 @@ def level_from_differences(x: Floats) -> float:
     return float(np.median(np.abs(second)) / (0.674490 * np.sqrt(6.0)))
 
 
-def outliers(residual: Floats, step: float = 0.0, motion: Floats | None = None) -> NDArray[np.bool_]:
+def outliers(residual: Floats, step: float = 0.0, course: Floats | None = None) -> NDArray[np.bool_]:
     """Return which samples (n,) stand alone: far from the line between their neighbours, which agree with each other.
 
     Far is `ALONE` robust deviations of what all, or the ten about it, are off that line. What a device does is not over after
@@ -166,8 +168,8 @@ def outliers(residual: Floats, step: float = 0.0, motion: Floats | None = None) 
     ----------
     residual : (n,) what a model leaves over, so that nothing steep is in it; NaN where missing
     step : of its converter, which makes samples that stand alone by that much [unit of residual]
-    motion : (n,) how far the signal goes within a few samples: one that is read late is off by as much for one of them, which is
-        seen at most edges or at hardly any
+    course : (n,) what the model says: one that is read late shows what the signal was a few samples before, which is seen at most
+        edges or at hardly any
     """
     alone = np.zeros(residual.size, dtype=bool)
     known = np.flatnonzero(np.isfinite(residual))
@@ -178,9 +180,12 @@ def outliers(residual: Floats, step: float = 0.0, motion: Floats | None = None) 
     usual = np.maximum(np.median(off), median_filter(off, ABOUT, mode="nearest")) / 0.674490
     far = off > np.maximum(ALONE * usual, 3.0 * step)
     single = far & (np.abs(x[2:] - x[:-2]) < 0.5 * off)
-    if motion is not None:
-        moves = motion[known[1:-1]]
-        late = single & (off <= 2.0 * moves)
+    if course is not None:
+        low, high = minimum_filter1d(course, NEAR_BY), maximum_filter1d(course, NEAR_BY)
+        motion = high - low
+        here, moves = known[1:-1], motion[known[1:-1]]
+        shown, margin = course[here] + (x[1:-1] - 0.5 * (x[:-2] + x[2:])), ALONE * usual
+        late = single & (shown >= low[here] - margin) & (shown <= high[here] + margin)
         # what reads late reads late at every edge
         edges = np.count_nonzero(np.diff((moves > np.maximum(ALONE * usual, 3.0 * step)).astype(int)) == 1)
         if np.count_nonzero(late) > SELDOM * edges:

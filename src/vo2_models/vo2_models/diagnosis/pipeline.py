@@ -165,6 +165,12 @@ def _may_be_of_some_only(answer: Study) -> bool:
     return len(chosen.keys) > 1 and not answer.reading.first_use
 
 
+def _holds_in_all(answer: Study) -> bool:
+    """Whether something is named that recordings show together, and is no course, which may be but another level in each."""
+    chosen = answer.decision.chosen
+    return chosen is not None and not any(key in chosen.courses for key in chosen.keys)
+
+
 def _day_by_day(
     together: Study, recordings: Sequence[Recording], nominal: Nominal, limits: Limits, clock: Clock
 ) -> Study:
@@ -214,7 +220,7 @@ def _day_by_day(
             days = quiet | (alone if explained else dict.fromkeys(loud, joint))
         elif any(map(has_an_answer, alone.values())):
             days = quiet | alone
-        elif quiet and together.decision.chosen is None and not first:
+        elif quiet and not first and not _holds_in_all(together):
             days = quiet | dict.fromkeys(loud, joint or alone[loud[0]])
         else:
             days = {}

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.optimize import minimize_scalar
 
 from vo2_models.diagnosis.breakdown import one_loop
@@ -341,8 +340,6 @@ def _without_outliers(
         for channel in (c for c in part.channels if c != HEATER_CURRENT):
             gap = np.where(valid[channel], part.observed[channel] - response.channels[channel], np.nan)
             step = float(np.sqrt(12.0) * np.max(part.comb_level(channel)))
-            course = response.channels[channel]
-            motion = maximum_filter1d(course, 7) - minimum_filter1d(course, 7)
             dropped = _dropped(part, response, channel)
             if np.any(dropped):
                 valid[channel] = valid[channel] & ~dropped
@@ -355,7 +352,7 @@ def _without_outliers(
                         "reading, which are not judged",
                     )
                 )
-            alone = outliers(np.where(dropped, np.nan, gap), step, motion)
+            alone = outliers(np.where(dropped, np.nan, gap), step, response.channels[channel])
             if np.any(alone):
                 valid[channel] = valid[channel] & ~alone
                 count = np.count_nonzero(alone)

@@ -48,6 +48,8 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+_A_DECADE = 0.01
+"""Decades by which a gain may miss a power of ten and be taken for it: 2 %."""
 OTHERS = 4
 """Sets of constants, that which is told among them, up to which all are written out."""
 MISFITTED = 1.5
@@ -216,11 +218,32 @@ def _as_drive(study: Study, moved: MovedConstant) -> str:
     return f" (as if the drive were {(moved.now - moved.was) / gain:+.3g} {model.description.drive_unit} off)"
 
 
-def _mimics(study: Study) -> list[str]:
-    """What would look much like the constants that have moved: effects, and other constants."""
+def _or_effects(study: Study) -> str:
+    """Which effects would look much like the constants that have moved, as a sentence; empty for none."""
     names = " or ".join(h.record.id for h in study.decision.mimics)
-    notes = [f"constants have moved; {names} acting all the time would look much the same"] if names else []
-    return [*notes, *moved_in_place(study)]
+    return f" {names} acting all the time would look much the same." if names else ""
+
+
+def _mimics(study: Study) -> list[str]:
+    """What would look much like the constants that have moved: effects, other constants, and another unit."""
+    effects = _or_effects(study).strip().rstrip(".")
+    return [
+        *([f"constants have moved; {effects}"] if effects else []),
+        *moved_in_place(study),
+        *_powers_of_ten(_moved(study)),
+    ]
+
+
+def _powers_of_ten(moved: Sequence[MovedConstant]) -> list[str]:
+    """Gains that have moved by a power of ten, which is a unit or a range of an amplifier."""
+    told = []
+    for m in moved:
+        decades = np.log10(m.now / m.was) if m.constant.endswith("gain") and m.was * m.now > 0.0 else 0.0
+        if abs(decades) > 0.5 and abs(decades - round(decades)) < _A_DECADE:
+            told.append(
+                f"{m} is {10 ** round(decades):g} times what it was: check the unit, or an amplifier's range"
+            )
+    return told
 
 
 def moved_in_place(study: Study) -> list[str]:
@@ -941,7 +964,7 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     if decision.verdict == "drifted":
         return (
             f"The same physics, constants have moved{_of_what(study)}: {moved}. With them simulation and recording agree: the "
-            f"residual exceeds {_floor(study)} by {power:.0f} % of its power, {_why_enough(study)}."
+            f"residual exceeds {_floor(study)} by {power:.0f} % of its power, {_why_enough(study)}.{_or_effects(study)}"
         )
     if decision.taken_up:
         far = max(decision.taken_up, key=lambda c: decision.taken_up[c])

@@ -22,7 +22,7 @@ from vo2_studies.challenge.outside import COMPOSED, describe
 from vo2_studies.challenge.plan import RANGE, CasePlan
 from vo2_studies.challenge.rig import Noise, Plan, Truth, channels_of, draw_rig_noise, log_channels, simulate
 
-__all__ = ["Case", "Recorded", "draw_case", "draw_rig", "follow_up_recording"]
+__all__ = ["Case", "Recorded", "day_recording", "draw_case", "draw_rig", "follow_up_recording"]
 
 EXCESS_RANGE = {
     "one": ((3.0, 1000.0),),
@@ -60,6 +60,7 @@ class Case:
     answer : JSON-ready truth
     document : content of its device file; None of a rig that is a preset
     shared : name of a calibration that other cases have too, so that it is fitted once; empty for its own
+    others : name, which begins with `day_`, and recording of each that is diagnosed together with the test
     """
 
     plan: CasePlan
@@ -69,6 +70,7 @@ class Case:
     answer: dict
     document: Mapping[str, Any] | None = None
     shared: str = ""
+    others: tuple[tuple[str, Recorded], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -211,6 +213,28 @@ def follow_up_recording(
     for entry in answer["effects"]:
         redrawn(entry["id"], entry["form"], entry["parameters"], entry["signal"]).into(together, context)
     return rig.run(device, command, together, rng)[1]
+
+
+def day_recording(
+    seed: int, plan: CasePlan, answer: dict, day: int, *, misfit: float = 0.1
+) -> tuple[Recorded, dict[str, float]]:
+    """Return what the device of a case records on another day with another path, and what is other that day.
+
+    Parameters
+    ----------
+    seed, plan, misfit : of the case
+    answer : of it, with the effects that act that day
+    day : number of the day, from 1
+    """
+    _, rig = _rig(seed, plan, misfit)
+    rng = np.random.default_rng([seed, 71, plan.index, day])
+    device, other = another_day(rng, rig.device)
+    command = excitation(rng, rig.device.preset, plan.excitation, plan.samples)
+    context = Context(rng, device, answer["duration_s"])
+    together = Plan()
+    for entry in answer["effects"]:
+        redrawn(entry["id"], entry["form"], entry["parameters"], entry["signal"]).into(together, context)
+    return rig.run(device, command, together, rng)[1], other
 
 
 def _draw_in_range(

@@ -147,7 +147,7 @@ class CaseRunner:
             self._follow_up(plan, folder, result)
         save_json(paths.result(index), result)
         if not self.keep_bags:
-            for name in ("calibration", "test", "follow_up"):
+            for name in ("calibration", "test", "follow_up", *(path.name for path in folder.glob("day_*"))):
                 shutil.rmtree(folder / name, ignore_errors=True)
         return result
 
@@ -181,7 +181,8 @@ class CaseRunner:
             if shared is not None and not shared.exists():
                 shared.parent.mkdir(exist_ok=True)
                 write_whole(shared, (folder / "model.yaml").read_text(encoding="utf-8"))
-            command = [*self.diagnose, *_recordings(plan, "test"), "--output", "diagnosis"]
+            others = sorted(path.name for path in folder.glob("day_*"))
+            command = [*self.diagnose, *_recordings(plan, "test", *others), "--output", "diagnosis"]
             failure, result["seconds"] = self._process(command, folder, "diagnose")
         if not failure:
             result["diagnosis"], failure = _read_diagnosis(folder / "diagnosis" / "diagnosis.json")
@@ -249,7 +250,7 @@ def write_case(case: Case, paths: Paths) -> str:
     folder = paths.case(case.plan.index)
     folder.mkdir(parents=True, exist_ok=True)
     save_json(paths.answer(case.plan.index), case.answer)
-    for name, recorded in (("calibration", case.calibration), ("test", case.test)):
+    for name, recorded in (("calibration", case.calibration), ("test", case.test), *case.others):
         write_recording(folder / name, recorded.measurement, recorded.commands)
     if case.document is None:
         return case.plan.device
