@@ -346,7 +346,7 @@ def linearise_problem(
     """
     shapes = loop_shapes(nominal) if shapes is None else shapes
     constants = tuple(constants_of(nominal) if constants is None else constants)
-    origin = np.zeros(len(constants)) if shift is None else np.asarray(shift, dtype=np.float64)
+    origin = _possible(constants, np.zeros(len(constants)) if shift is None else shift)
     moved = {c.name: float(z) * c.spread for c, z in zip(constants, origin, strict=True) if not c.drifts}
     # the columns of the law itself stay linear: it is not rewritten
     about = {
@@ -504,6 +504,21 @@ def _moved(
         latest = max(before[delay], LATEST * min(part.dt for part in parts))
         moved[delay] = min(max(moved[delay], 0.0), latest)
     return moved
+
+
+def _possible(constants: Sequence[Constant], shift: Floats) -> Floats:
+    """The move (t,) to linearise about, in which no dead time is below nothing.
+
+    There the simulation would no longer change with it, and the nuisance model lose what a little earlier or later does.
+    """
+    found = np.array(shift, dtype=np.float64)
+    own = [k for k, c in enumerate(constants) if c.name == "driver.dead_time"]
+    if own:
+        before = constants[own[0]].value
+        total = before + sum(constants[k].spread * found[k] for k in own)
+        if total < 0.0:
+            found[own] *= before / (before - total)
+    return found
 
 
 def _reach(counts: NDArray[np.bool_], noise: NoiseModel) -> Floats:
