@@ -93,6 +93,8 @@ def test_a_room_that_moves_by_kelvins_within_a_recording_is_named_with_its_cours
     assert "Course of ambient_drift over the time" in report_page(seen, answer)
     low, high = map(float, re.search(r"course in time from (\S+) to (\S+) K", effect.form).groups())
     assert low == pytest.approx(room.min(), abs=0.3) and high == pytest.approx(room.max(), abs=0.3)
+    (even,) = [text for text in answer.limits if text.startswith("ambient_drift begins at")]
+    assert "may be a constant that has moved" in even
 
 
 @pytest.mark.slow

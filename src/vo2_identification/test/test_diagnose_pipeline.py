@@ -1,7 +1,6 @@
 """The whole diagnosis on simulated devices whose hysteresis is an ensemble of domains, not the fitted family."""
 
 import json
-import re
 import resource
 import subprocess
 import sys

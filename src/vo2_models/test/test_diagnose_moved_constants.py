@@ -73,3 +73,44 @@ def test_of_a_gain_of_a_resistance_the_logarithm_is_told_as_a_gain():
     drift = Drift((gain,), np.array([4.0]), np.array([[0.01]]), np.zeros(1))
     assert drift.move[0] == pytest.approx(np.expm1(0.2))
     assert drift.std[0] == pytest.approx(np.exp(0.2) * 0.05 * 0.1)
+
+
+def of_three_recordings(room, own, common=(0.0, 0.0)):
+    """A room, that of each of three recordings beside it, and a gain; 400 samples of each recording."""
+    rng = np.random.default_rng(11)
+    line, gain = rng.normal(size=(1200, 2)).T
+    parts = np.repeat(np.eye(3), 400, axis=0)
+    columns = np.column_stack([line, *(parts * line[:, None]).T, gain])
+    constants = [
+        Constant("thermal.ambient", "degC", 22.0, 2.0, drifts=True),
+        *(Constant("thermal.ambient", "degC", 22.0, 2.0, drifts=True, part=k) for k in range(3)),
+        Constant("deflection.gain", "1", 1.0, 0.01, drifts=True),
+    ]
+    steps = np.array([room, *own, common[0]])
+    covariance = np.linalg.inv(columns.T @ columns + np.eye(5))
+    found = covariance @ columns.T @ (columns @ steps + rng.normal(size=1200))
+    return Drift(tuple(constants), found, covariance, found)
+
+
+def test_a_room_that_has_moved_in_all_recordings_is_one_constant():
+    (found,) = fewest(of_three_recordings(2.0, (0.0, 0.0, 0.0)))
+    assert [(c.name, c.part) for c in found.constants] == [("thermal.ambient", None)]
+
+
+def test_a_room_of_each_recordings_own_is_told_of_each():
+    (found,) = fewest(of_three_recordings(0.0, (1.0, -1.5, 0.5)))
+    told = found.of_each_recording()
+    assert [c.part for c in told.constants] == [0, 1, 2]
+    for move, std, true in zip(told.move, told.std, (2.0, -3.0, 1.0), strict=True):
+        assert abs(move - true) < 4.0 * std and std < 0.2
+
+
+def test_what_is_the_same_in_all_recordings_stays_one_beside_what_is_not():
+    (found,) = fewest(of_three_recordings(0.0, (1.0, -1.5, 0.5), common=(3.0, 0.0)))
+    told = found.of_each_recording()
+    assert [(c.name, c.part) for c in told.constants] == [
+        ("thermal.ambient", 0),
+        ("thermal.ambient", 1),
+        ("thermal.ambient", 2),
+        ("deflection.gain", None),
+    ]

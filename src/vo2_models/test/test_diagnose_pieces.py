@@ -20,7 +20,9 @@ from vo2_models.diagnosis.next_experiment import TO_SEE, library, without_explan
 from vo2_models.diagnosis.noise import NoiseModel, fit_noise, level_from_differences, outliers
 from vo2_models.diagnosis.nominal import Nominal, basis_of, transition_of
 from vo2_models.diagnosis.nonparametric_correction import Shape
+from vo2_models.diagnosis.nuisance import Constant
 from vo2_models.diagnosis.part import _after_torn_steps, _turns
+from vo2_models.diagnosis.problem import _possible
 from vo2_models.diagnosis.report import beside_the_first, probabilities
 from vo2_models.diagnosis.result import SCHEMA, validate
 from vo2_models.effects.adc_quantization import value_step
@@ -504,3 +506,15 @@ def test_whatever_a_correction_without_a_name_depends_on_has_an_experiment():
         found = without_explanation([Shape("tip_deflection", group, "what it follows", 0.5, 3.0)], [])
         assert found.kind == "manual" and TO_SEE[group] in found.instruction
     assert "follows nothing that was tried" in without_explanation([], []).why
+
+
+def test_nothing_is_linearised_about_a_dead_time_below_nothing() -> None:
+    constants = [
+        Constant("driver.dead_time", "s", 1e-3, 5e-4),
+        Constant("thermal.ambient", "degC", 22.0, 1.0, drifts=True),
+        Constant("driver.dead_time", "s", 1e-3, 1e-5, drifts=True),
+    ]
+    assert _possible(constants, np.array([1.0, -3.0, -2.0])) == pytest.approx([1.0, -3.0, -2.0])
+    found = _possible(constants, np.array([-3.0, -3.0, -20.0]))
+    assert found[1] == -3.0 and np.all(found[[0, 2]] < 0.0)
+    assert 1e-3 + 5e-4 * found[0] + 1e-5 * found[2] == pytest.approx(0.0, abs=1e-9)
