@@ -99,7 +99,7 @@ def test_a_room_that_has_moved_in_all_recordings_is_one_constant():
 
 def test_a_room_of_each_recordings_own_is_told_of_each():
     (found,) = fewest(of_three_recordings(0.0, (1.0, -1.5, 0.5)))
-    told = found.of_each_recording()
+    told = found.of_each_recording(LIMITS.constant_moved)
     assert [c.part for c in told.constants] == [0, 1, 2]
     for move, std, true in zip(told.move, told.std, (2.0, -3.0, 1.0), strict=True):
         assert abs(move - true) < 4.0 * std and std < 0.2
@@ -107,10 +107,18 @@ def test_a_room_of_each_recordings_own_is_told_of_each():
 
 def test_what_is_the_same_in_all_recordings_stays_one_beside_what_is_not():
     (found,) = fewest(of_three_recordings(0.0, (1.0, -1.5, 0.5), common=(3.0, 0.0)))
-    told = found.of_each_recording()
+    told = found.of_each_recording(LIMITS.constant_moved)
     assert [(c.name, c.part) for c in told.constants] == [
         ("thermal.ambient", 0),
         ("thermal.ambient", 1),
         ("thermal.ambient", 2),
         ("deflection.gain", None),
     ]
+
+
+def test_of_recordings_whose_room_has_hardly_moved_none_is_told_but_the_surest():
+    drift = of_three_recordings(0.0, (1.0, -1.5, 0.02))
+    rooms = drift.of_each_recording(LIMITS.constant_moved)
+    assert {c.part for c in rooms.constants if c.name == "thermal.ambient"} == {0, 1}
+    (surest,) = (c for c in drift.of_each_recording(1e6).constants if c.part is not None)
+    assert surest.part == 1

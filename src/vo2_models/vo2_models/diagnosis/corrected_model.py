@@ -130,7 +130,7 @@ def corrected_model(study: Study) -> CorrectedModel:
     """Return the model with effects and moved constants, and what else brings it nearer to the recordings.
 
     What a diagnosis leaves, it leaves beside loops that it lets change a little, and beside constants that are not told. A
-    file does not hold all that. _Written down are effects and told constants; with those that the fit moved beside them, or
+    file does not hold all that. Written down are effects and told constants; with those that the fit moved beside them, or
     with loops fitted anew as well, where that is nearer to the recordings. Terms for what has no name are written down only
     where they bring the model nearer.
 

@@ -144,8 +144,13 @@ class Drift:
         names = dict.fromkeys(c.name for c in self.constants if c.part is not None)
         return common + [tuple(k for k, c in enumerate(self.constants) if c.name == name) for name in names]
 
-    def of_each_recording(self) -> Drift:
-        """Return the same told by recording: of a constant that is another one in each, what it is there in all."""
+    def of_each_recording(self, sigmas: float) -> Drift:
+        """Return the same told by recording: of a constant that is another one in each, what it is there in all.
+
+        Parameters
+        ----------
+        sigmas : standard deviations that such a one has moved by at least to be told; the surest is told in any case
+        """
         own = {c.name for c in self.constants if c.part is not None}
         kept = [k for k, c in enumerate(self.constants) if c.part is not None or c.name not in own]
         into = np.zeros((len(kept), len(self.constants)))
@@ -154,11 +159,19 @@ class Drift:
             for place, c in enumerate(self.constants):
                 if place == k or (c.part is None and c.name == constant.name):
                     into[row, place] = c.spread / constant.spread
-        return replace(
+        every = replace(
             self,
             constants=tuple(self.constants[k] for k in kept),
             steps=into @ self.steps,
             covariance=into @ self.covariance @ into.T,
+        )
+        sure = np.array([c.part is None for c in every.constants]) | (every.sigmas >= sigmas)
+        sure[np.argmax(every.sigmas)] = True
+        return replace(
+            every,
+            constants=tuple(c for c, told in zip(every.constants, sure, strict=True) if told),
+            steps=every.steps[sure],
+            covariance=every.covariance[np.ix_(sure, sure)],
         )
 
 

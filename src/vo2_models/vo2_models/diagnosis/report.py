@@ -178,8 +178,8 @@ def _sets_of_moved(study: Study) -> list[Drift]:
 
 
 def _told_moves(study: Study, drift: Drift) -> list[MovedConstant]:
-    """The moves of a drift as they are told, surest first; of one that is another one in each recording, those that are sure."""
-    drift = drift.of_each_recording()
+    """The moves of a drift as they are told, surest first."""
+    drift = drift.of_each_recording(study.limits.constant_moved)
     return [
         MovedConstant(
             c.name,
@@ -190,7 +190,6 @@ def _told_moves(study: Study, drift: Drift) -> list[MovedConstant]:
             study.located.problem.parts[c.part].name if c.part is not None else "",
         )
         for k, c in ((k, drift.constants[k]) for k in np.argsort(-drift.sigmas))
-        if c.part is None or drift.sigmas[k] >= study.limits.constant_moved
     ]
 
 
