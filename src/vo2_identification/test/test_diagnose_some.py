@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from concealed_devices import DEVICE, calibrated, concealed
 from vo2_models.device.coefficients import Coefficient
-from vo2_models.diagnosis import diagnose, validate
+from vo2_models.diagnosis import diagnose, study, validate
+from vo2_models.diagnosis.page import report_page
+from vo2_models.diagnosis.report import assemble_diagnosis
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.recording import Recording
 
@@ -18,7 +20,10 @@ def unchanged():
 
 
 def test_what_only_one_recording_shows_is_named_for_it(unchanged) -> None:
-    answer = diagnose([unchanged, concealed(LATE, samples=SAMPLES, seed=6)], calibrated())
+    seen = study([unchanged, concealed(LATE, samples=SAMPLES, seed=6)], calibrated())
+    answer = assemble_diagnosis(seen)
+    page = report_page(seen, answer)
+    assert "By recording" in page and "sensor_lag on tip_deflection (" in page
     assert [(e.id, e.signal) for e in answer.effects] == [("sensor_lag", "tip_deflection")]
     assert [(one.recording, one.verdict) for one in answer.recordings] == [
         ("recording 1", "agrees"),

@@ -7,6 +7,8 @@ import pytest
 from vo2_models.diagnosis.drift import Drift
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nuisance import Constant
+from vo2_models.diagnosis.report import _powers_of_ten
+from vo2_models.diagnosis.result import MovedConstant
 
 LIMITS = Limits()
 NAMES = ("thermal.ambient", "deflection.zero", "deflection.gain", "thermal.time_constant")
@@ -122,3 +124,12 @@ def test_of_recordings_whose_room_has_hardly_moved_none_is_told_but_the_surest()
     assert {c.part for c in rooms.constants if c.name == "thermal.ambient"} == {0, 1}
     (surest,) = (c for c in drift.of_each_recording(1e6).constants if c.part is not None)
     assert surest.part == 1
+
+
+@pytest.mark.parametrize(
+    ("now", "times"), [(10.01, "10"), (0.0999, "0.1"), (1000.0, "1000"), (1.001, ""), (9.5, ""), (-10.0, "")]
+)
+def test_a_gain_of_another_power_of_ten_is_told_as_a_unit(now, times):
+    told = _powers_of_ten([MovedConstant("deflection.gain", 1.0, now, 0.01, "1")])
+    assert bool(told) == bool(times)
+    assert not times or f"is {times} times what it was: check the unit" in told[0]

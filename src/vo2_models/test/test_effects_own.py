@@ -234,20 +234,15 @@ parser.parse_args(["--effects", folder])
 """
 
 
-def test_a_command_tells_what_is_wrong_with_an_effect_file_in_one_line(tmp_path):
+@pytest.mark.parametrize(
+    ("used", "told"), [(False, "slow_anchor.py: EFFECT: found int"), (True, "need a new process")]
+)
+def test_an_effect_file_that_is_wrong_or_comes_too_late_is_told_in_one_line(tmp_path, used, told):
     (tmp_path / "slow_anchor.py").write_text("EFFECT = 3")
-    done = run(tmp_path, ASKED_FOR.format(used=False))
+    done = run(tmp_path, ASKED_FOR.format(used=used))
     assert done.returncode == 2
     assert done.stderr.startswith("fit: ") and done.stderr.count("\n") == 1
-    assert "slow_anchor.py: EFFECT: found int" in done.stderr
-
-
-def test_effects_that_come_too_late_for_a_process_are_told_in_one_line(tmp_path):
-    (tmp_path / "slow_anchor.py").write_text("EFFECT = 3")
-    done = run(tmp_path, ASKED_FOR.format(used=True))
-    assert done.returncode == 2
-    assert done.stderr.startswith("fit: ") and done.stderr.count("\n") == 1
-    assert "need a new process" in done.stderr
+    assert told in done.stderr
 
 
 def test_a_folder_that_is_not_there_is_told(tmp_path):

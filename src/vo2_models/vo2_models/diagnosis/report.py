@@ -238,7 +238,7 @@ def _powers_of_ten(moved: Sequence[MovedConstant]) -> list[str]:
     told = []
     for m in moved:
         decades = np.log10(m.now / m.was) if m.constant.endswith("gain") and m.was * m.now > 0.0 else 0.0
-        if abs(decades) > 0.5 and abs(decades - round(decades)) < _A_DECADE:
+        if round(decades) and abs(decades - round(decades)) < _A_DECADE:
             told.append(
                 f"{m} is {10 ** round(decades):g} times what it was: check the unit, or an amplifier's range"
             )

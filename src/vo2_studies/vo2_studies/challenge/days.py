@@ -1,8 +1,9 @@
 """Several recordings, each of its own day: `python -m vo2_studies.challenge.days`.
 
-A device is fitted to its calibration and recorded on three later days, each with its own path, room, zero and time
-constant. By turns nothing changes, an effect acts on all days, or on the first only. Devices, recordings and effects are
-those of `challenge`; each case is fitted and diagnosed by separate processes that see the bags only.
+A device is fitted to its calibration and recorded three times later, each with its own path, from the second on with
+another room, zero and time constant each. By turns nothing changes, an effect acts on all days, or on the first only.
+Devices, recordings and effects are those of `challenge`; each case is fitted and diagnosed by separate processes that see
+the bags only.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -79,6 +80,17 @@ def judged(answer: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> tuple[str
     return min(found, key=order.index), named
 
 
+def _results(
+    pool: ThreadPoolExecutor, runner: CaseRunner, plans: Sequence[CasePlan]
+) -> Iterator[dict[str, Any]]:
+    """The results in order; Ctrl-C ends what runs, so that the pool need not wait for it."""
+    try:
+        yield from pool.map(runner.run, plans)
+    except KeyboardInterrupt:
+        runner.stop()
+        raise
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what is not finished yet and print one line a case, and the counts of each kind; 130 after Ctrl-C."""
     parser = argparse.ArgumentParser(prog="days", description=__doc__.splitlines()[0])
@@ -89,6 +101,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=1, help="cases at a time (1)")
     parser.add_argument("--output", type=Path, required=True, help="folder; finished cases in it are kept")
     options = parser.parse_args(arguments)
+    if min(options.cases, options.jobs) < 1:
+        print("days: --cases, --jobs: need at least 1", file=sys.stderr)
+        return 2
     samples = (options.samples, options.samples) if options.samples else None
     settings = DaySettings(options.seed, choice=Choice(family=options.family, samples=samples))
     outputs = OutputFolder(options.output, ("days.json",))
@@ -102,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         settings.choice.check()
         with ThreadPoolExecutor(options.jobs) as pool:
             plans = [settings.plan(k) for k in range(options.cases)]
-            for plan, result in zip(plans, pool.map(runner.run, plans), strict=True):
+            for plan, result in zip(plans, _results(pool, runner, plans), strict=True):
                 answer = load_json(runner.paths.answer(plan.index))
                 verdict, named = ("failed", []) if result["failure"] else judged(answer, result["diagnosis"])
                 true = ", ".join(effect["id"] for effect in answer["effects"])
