@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
-import signal
 import sys
-import threading
-import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -34,11 +29,14 @@ from vo2_studies.challenge.plan import (
 from vo2_studies.challenge.recordings.bodyless import BodylessSettings
 from vo2_studies.challenge.recordings.draw import MeasuredSettings
 from vo2_studies.challenge.runner import (
+    INTERRUPTED,
     CaseRunner,
     Paths,
     Settings,
     finished,
+    interrupt_on_sigterm,
     load_json,
+    run_all,
     save_json,
     write_case,
 )
@@ -48,7 +46,6 @@ __all__ = ["main"]
 _REPORTS = ("challenge.json", "challenge.html")
 QUICK_SAMPLES = 3000
 """Of each recording to be diagnosed with --quick."""
-_INTERRUPTED = "interrupted; finished cases are kept, the same command continues"
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -116,23 +113,6 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-@contextlib.contextmanager
-def _interrupt_on_sigterm() -> Iterator[None]:
-    """Treat SIGTERM as Ctrl-C while inside, so that no started process is left behind."""
-
-    def interrupt(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield  # signals can be handled in the main thread only
-        return
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
 def _words(text: str) -> tuple[str, ...]:
     return tuple(word.strip() for word in text.split(",") if word.strip())
 
@@ -166,7 +146,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _run(arguments, argv)
     except KeyboardInterrupt:  # while cases are drawn or scored, or the second one
-        print(_INTERRUPTED, file=sys.stderr)
+        print(INTERRUPTED, file=sys.stderr)
         return 130
 
 
@@ -213,8 +193,8 @@ def _run(arguments: argparse.Namespace, argv: Sequence[str] | None) -> int:
         threads=1 if arguments.jobs > 1 else 0,
     )
     try:
-        with _interrupt_on_sigterm():
-            done = _run_all(plans, runner, arguments.jobs)
+        with interrupt_on_sigterm():
+            done = run_all(plans, runner, arguments.jobs)
         _report(plans, paths, argv)
     except OSError as error:
         print(f"challenge: {error}; finished cases are kept", file=sys.stderr)
@@ -255,52 +235,6 @@ def _write_bags(
         write_case(settings.case(plan), paths)
         print(f"[{plan.index + 1}/{len(plans)}] {paths.case(plan.index)}", file=sys.stderr)
     return 0
-
-
-def _run_all(plans: Sequence[CasePlan], runner: CaseRunner, jobs: int) -> bool:
-    """Run what is not finished; return False when interrupted."""
-    left = [plan for plan in plans if not finished(runner.paths, plan.index)]
-    kept = len(plans) - len(left)
-    if kept:
-        print(f"{kept} finished cases kept", file=sys.stderr)
-    start = time.monotonic()
-    pool = ThreadPoolExecutor(jobs)
-    waiting: dict[Future, CasePlan] = {pool.submit(runner.run, plan): plan for plan in left}
-    try:
-        count = 0
-        while waiting:
-            ready, _ = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in ready:
-                plan = waiting.pop(future)
-                result = future.result()
-                count += 1
-                rest = (time.monotonic() - start) / count * (len(left) - count)
-                state = result["failure"] or f"diagnosed in {result['seconds']:.1f} s"
-                print(
-                    f"[{kept + count}/{len(plans)}] case {plan.index:04d} {plan.device}: {state}; "
-                    f"about {_duration(rest)} left",
-                    file=sys.stderr,
-                    flush=True,
-                )
-    except KeyboardInterrupt:
-        print(_INTERRUPTED, file=sys.stderr)
-        return False
-    finally:
-        for future in waiting:
-            future.cancel()
-        if waiting:
-            runner.stop()
-        pool.shutdown()
-    return True
-
-
-def _duration(seconds: float) -> str:
-    minutes = round(seconds / 60)
-    return (
-        f"{minutes // 60} h {minutes % 60:02d} min"
-        if minutes >= 60
-        else f"{minutes} min {seconds % 60:.0f} s"
-    )
 
 
 def _report(plans: Sequence[CasePlan], paths: Paths, argv: Sequence[str] | None) -> None:

@@ -9,10 +9,8 @@ the bags only.
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +20,17 @@ from vo2_models.io import InputError, OutputFolder
 from vo2_studies.challenge.draw import Case, day_recording
 from vo2_studies.challenge.figures import rate
 from vo2_studies.challenge.plan import CasePlan, Choice, plan_case
-from vo2_studies.challenge.runner import CaseRunner, Paths, Settings, load_json, save_json
+from vo2_studies.challenge.runner import (
+    INTERRUPTED,
+    CaseRunner,
+    Paths,
+    Settings,
+    finished,
+    interrupt_on_sigterm,
+    load_json,
+    run_all,
+    save_json,
+)
 
 __all__ = ["KINDS", "DaySettings", "judged", "main"]
 
@@ -80,19 +88,29 @@ def judged(answer: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> tuple[str
     return min(found, key=order.index), named
 
 
-def _results(
-    pool: ThreadPoolExecutor, runner: CaseRunner, plans: Sequence[CasePlan]
-) -> Iterator[dict[str, Any]]:
-    """The results in order; Ctrl-C ends what runs, so that the pool need not wait for it."""
-    try:
-        yield from pool.map(runner.run, plans)
-    except KeyboardInterrupt:
-        runner.stop()
-        raise
+def _line(runner: CaseRunner, plan: CasePlan, result: Mapping[str, Any]) -> dict[str, Any]:
+    """What was found in a finished case."""
+    answer = load_json(runner.paths.answer(plan.index))
+    found, named = ("failed", []) if result["failure"] else judged(answer, result["diagnosis"])
+    return {
+        "index": plan.index,
+        "acts": answer["acts"],
+        "true": ", ".join(effect["id"] for effect in answer["effects"]),
+        "found": found,
+        "named": named,
+    }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what is not finished yet and print one line a case, and the counts of each kind; 130 after Ctrl-C."""
+    try:
+        return _run(arguments)
+    except KeyboardInterrupt:  # while cases are drawn
+        print(INTERRUPTED, file=sys.stderr)
+        return 130
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     parser = argparse.ArgumentParser(prog="days", description=__doc__.splitlines()[0])
     parser.add_argument("--cases", type=int, default=24, help="a third of each kind (24)")
     parser.add_argument("--seed", type=int, default=1, help="decides devices, effects and noise (1)")
@@ -107,45 +125,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     samples = (options.samples, options.samples) if options.samples else None
     settings = DaySettings(options.seed, choice=Choice(family=options.family, samples=samples))
     outputs = OutputFolder(options.output, ("days.json",))
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     runner = CaseRunner(
         settings, Paths(options.output), timeout_s=600.0, threads=1 if options.jobs > 1 else 0
     )
-    lines: list[dict[str, Any]] = []
     try:
         outputs.check()
         settings.choice.check()
-        with ThreadPoolExecutor(options.jobs) as pool:
-            plans = [settings.plan(k) for k in range(options.cases)]
-            for plan, result in zip(plans, _results(pool, runner, plans), strict=True):
-                answer = load_json(runner.paths.answer(plan.index))
-                verdict, named = ("failed", []) if result["failure"] else judged(answer, result["diagnosis"])
-                true = ", ".join(effect["id"] for effect in answer["effects"])
-                lines.append(
-                    {
-                        "index": plan.index,
-                        "acts": answer["acts"],
-                        "true": true,
-                        "found": verdict,
-                        "named": named,
-                    }
-                )
-                said = result["failure"] or " | ".join(", ".join(day) or "-" for day in named)
-                print(
-                    f"case {plan.index:3d}  {plan.device:11s}{plan.family:16s}{answer['acts']:6s}{true:26s}{verdict:8s}{said}",
-                    flush=True,
-                )
-                save_json(options.output / "days.json", lines)
-                outputs.remember()
+        plans = [settings.plan(k) for k in range(options.cases)]
     except (InputError, ValueError) as error:
         print(f"days: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        runner.stop()
-        print("days: interrupted; finished cases are kept, the same command continues", file=sys.stderr)
-        return 130
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    with interrupt_on_sigterm():
+        done = run_all(plans, runner, options.jobs, lambda plan, result: _line(runner, plan, result)["found"])
+    lines = []
+    for plan in (plan for plan in plans if finished(runner.paths, plan.index)):
+        result = load_json(runner.paths.result(plan.index))
+        line = _line(runner, plan, result)
+        said = result["failure"] or " | ".join(", ".join(day) or "-" for day in line["named"])
+        print(
+            f"case {plan.index:3d}  {plan.device:11s}{plan.family:16s}{line['acts']:6s}{line['true']:26s}"
+            f"{line['found']:8s}{said}"
+        )
+        lines.append(line)
+    save_json(options.output / "days.json", lines)
+    outputs.remember()
     for kind in KINDS:
         own = [line["found"] for line in lines if line["acts"] == kind]
         low, high = rate(found == "right" for found in own)[1] or (0.0, 1.0)
@@ -155,7 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         print(f"{kind:6s}{len(own):3d} cases: {counts} (right: {100 * low:.0f} to {100 * high:.0f} %)")
     print(f"results in {options.output / 'days.json'}")
-    return 0
+    return 0 if done else 130
 
 
 if __name__ == "__main__":

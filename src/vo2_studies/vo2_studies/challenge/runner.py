@@ -21,12 +21,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 import yaml
+from vo2_models.command_line import duration
 from vo2_models.io import write_whole
 
 from vo2_studies.challenge.conditions import write_recording
@@ -34,7 +36,20 @@ from vo2_studies.challenge.devices import Preset
 from vo2_studies.challenge.draw import Case, draw_case, draw_rig, follow_up_recording
 from vo2_studies.challenge.plan import CasePlan, Choice, plan_case
 
-__all__ = ["CaseRunner", "Paths", "Settings", "finished", "load_json", "save_json", "write_case"]
+__all__ = [
+    "INTERRUPTED",
+    "CaseRunner",
+    "Paths",
+    "Settings",
+    "finished",
+    "interrupt_on_sigterm",
+    "load_json",
+    "run_all",
+    "save_json",
+    "write_case",
+]
+
+INTERRUPTED = "interrupted; finished cases are kept, the same command continues"
 
 KEYS = ("verdict", "location", "effects", "candidates", "fit", "indistinguishable", "next_experiment")
 
@@ -243,6 +258,72 @@ class CaseRunner:
         if self._stopped:
             raise InterruptedError
         return ("" if code == 0 else f"{name}: exit status {code}"), time.monotonic() - start
+
+
+@contextlib.contextmanager
+def interrupt_on_sigterm() -> Iterator[None]:
+    """Treat SIGTERM as Ctrl-C while inside, so that no started process is left behind."""
+
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals can be handled in the main thread only
+        return
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def run_all(
+    plans: Sequence[CasePlan],
+    runner: CaseRunner,
+    jobs: int,
+    words: Callable[[CasePlan, dict[str, Any]], str] = lambda plan, result: "",
+) -> bool:
+    """Run what is not finished, with progress and the remaining time on stderr; return False when interrupted.
+
+    Parameters
+    ----------
+    plans, runner, jobs : what, how, and how many at a time
+    words : of a case and its result, for its line
+    """
+    left = [plan for plan in plans if not finished(runner.paths, plan.index)]
+    kept = len(plans) - len(left)
+    if kept:
+        print(f"{kept} finished cases kept", file=sys.stderr)
+    start = time.monotonic()
+    pool = ThreadPoolExecutor(jobs)
+    waiting: dict[Future, CasePlan] = {pool.submit(runner.run, plan): plan for plan in left}
+    try:
+        count = 0
+        while waiting:
+            ready, _ = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in ready:
+                plan = waiting.pop(future)
+                result = future.result()
+                count += 1
+                rest = (time.monotonic() - start) / count * (len(left) - count)
+                state = result["failure"] or f"diagnosed in {result['seconds']:.1f} s"
+                said = words(plan, result)
+                print(
+                    f"[{kept + count}/{len(plans)}] case {plan.index:04d} {plan.device}: {state}"
+                    f"{said and ', ' + said}; about {duration(rest)} left",
+                    file=sys.stderr,
+                    flush=True,
+                )
+    except KeyboardInterrupt:
+        print(INTERRUPTED, file=sys.stderr)
+        return False
+    finally:
+        for future in waiting:
+            future.cancel()
+        if waiting:
+            runner.stop()
+        pool.shutdown()
+    return True
 
 
 def write_case(case: Case, paths: Paths) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import signal
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -19,7 +18,17 @@ from vo2_models.io import InputError, OutputFolder
 
 from vo2_studies.challenge.draw import draw_case
 from vo2_studies.challenge.plan import CasePlan, Choice
-from vo2_studies.challenge.runner import CaseRunner, Paths, Settings, finished, load_json, save_json
+from vo2_studies.challenge.runner import (
+    INTERRUPTED,
+    CaseRunner,
+    Paths,
+    Settings,
+    finished,
+    interrupt_on_sigterm,
+    load_json,
+    run_all,
+    save_json,
+)
 
 __all__ = ["RANGE_K", "cases_in_range", "main"]
 
@@ -44,64 +53,69 @@ def cases_in_range(settings: Settings, count: int) -> Iterator[tuple[CasePlan, f
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what is not finished yet and print one line a case, and the two counts; 130 after Ctrl-C."""
+    try:
+        return _run(arguments)
+    except KeyboardInterrupt:  # while cases are drawn
+        print(INTERRUPTED, file=sys.stderr)
+        return 130
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     parser = argparse.ArgumentParser(prog="width_difference", description=__doc__.splitlines()[0])
     parser.add_argument("--cases", type=int, default=20, help="with the effect, and as many without (20)")
     parser.add_argument("--seed", type=int, default=1, help="decides devices, effects and noise (1)")
     parser.add_argument("--output", type=Path, required=True, help="folder; finished cases in it are kept")
+    parser.add_argument("--jobs", type=int, default=1, help="cases at a time (1)")
     parser.add_argument(
         "--timeout", type=float, default=300.0, help="seconds for each fit and each diagnosis"
     )
     options = parser.parse_args(arguments)
-    if options.cases < 1 or options.timeout <= 0:
-        print("width_difference: --cases, --timeout: need at least 1", file=sys.stderr)
+    if min(options.cases, options.jobs) < 1 or options.timeout <= 0:
+        print("width_difference: --cases, --jobs, --timeout: need at least 1", file=sys.stderr)
         return 2
     outputs = OutputFolder(options.output, ("width_difference.json",))
-    named: dict[str, list[bool]] = {"with": [], "without": []}
-    lines = []
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         outputs.check()
     except InputError as error:
         print(f"width_difference: --output: {error}", file=sys.stderr)
         return 2
-    try:
-        for kind, choice in (("with", Choice(only_effects=(NAME,))), ("without", Choice(kinds=("none",)))):
-            settings = Settings(options.seed, choice=choice)
-            runner = CaseRunner(settings, Paths(options.output / kind), timeout_s=options.timeout)
-            plans = (
-                cases_in_range(settings, options.cases)
-                if kind == "with"
-                else ((settings.plan(k), 0.0) for k in range(options.cases))
-            )
-            for plan, difference in plans:
+    named: dict[str, list[bool]] = {"with": [], "without": []}
+    lines, done = [], True
+    for kind, choice in (("with", Choice(only_effects=(NAME,))), ("without", Choice(kinds=("none",)))):
+        settings = Settings(options.seed, choice=choice)
+        runner = CaseRunner(
+            settings,
+            Paths(options.output / kind),
+            timeout_s=options.timeout,
+            threads=1 if options.jobs > 1 else 0,
+        )
+        plans = (
+            list(cases_in_range(settings, options.cases))
+            if kind == "with"
+            else [(settings.plan(k), 0.0) for k in range(options.cases)]
+        )
+        with interrupt_on_sigterm():
+            done = done and run_all([plan for plan, _ in plans], runner, options.jobs)
+        for plan, difference in plans:
+            if finished(runner.paths, plan.index):
                 line = _case(runner, plan, difference)
                 lines.append({"kind": kind, **line})
                 named[kind].append(line["named"][:1] == [NAME])
                 print(_words(kind, line), flush=True)
-                save_json(options.output / "width_difference.json", lines)
-                outputs.remember()
-    except KeyboardInterrupt:
-        runner.stop()
-        print(
-            "width_difference: interrupted; finished cases are kept, the same command continues",
-            file=sys.stderr,
-        )
-        return 130
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    save_json(options.output / "width_difference.json", lines)
+    outputs.remember()
     count = {kind: f"{sum(hits)} of {len(hits)}" for kind, hits in named.items()}
     print(f"{NAME} named first: {count['with']} recordings with it, {count['without']} without")
     others = Counter(
         line["named"][0] if line["named"] else "nothing" for line in lines if line["kind"] == "with"
     )
     print("named first where it acts: " + ", ".join(f"{name} {n}" for name, n in others.most_common()))
-    return 0
+    return 0 if done else 130
 
 
 def _case(runner: CaseRunner, plan: CasePlan, difference: float) -> dict:
-    """What was named in one case, from its result if it is finished already."""
-    paths = runner.paths
-    result = load_json(paths.result(plan.index)) if finished(paths, plan.index) else runner.run(plan)
+    """What was named in a finished case."""
+    result = load_json(runner.paths.result(plan.index))
     diagnosis = result["diagnosis"]
     return {
         "index": plan.index,
