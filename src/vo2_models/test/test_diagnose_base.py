@@ -392,14 +392,31 @@ def test_when_it_was_on_is_asked_of_several_recordings_together() -> None:
     assert any(abs(on - 0.4) < 0.15 and abs(off - 1.1) < 0.15 for on, off in windows)
 
 
-def _changed(changes: dict[str, dict[str, float | str]], size: int = 3000, ar: tuple[float, ...] = ()):
+def _changed(
+    changes: dict[str, dict[str, float | str]],
+    size: int = 3000,
+    ar: tuple[float, ...] = (),
+    drive: np.ndarray | None = None,
+):
     """The problem of a device on which effects act, taken to have noise of one colour in the resistance."""
-    nominal, current, dt = replace(_model(), noise={RESISTANCE: NoiseModel(1e-3, ar)}), _drive(size), 1e-3
+    nominal, dt = replace(_model(), noise={RESISTANCE: NoiseModel(1e-3, ar)}), 1e-3
+    current = _drive(size) if drive is None else drive
     shown = nominal.respond(current, dt, effects=changes).channels[RESISTANCE]
-    shown = shown + 1e-3 * np.random.default_rng(1).normal(size=size)
-    time = dt * np.arange(size)
+    shown = shown + 1e-3 * np.random.default_rng(1).normal(size=current.size)
+    time = dt * np.arange(current.size)
     recording = Recording(time, {HEATER_CURRENT: current, RESISTANCE: 10.0**shown}, "integrated")
     return linearise_problem(nominal, [prepare(recording, nominal)])
+
+
+def test_a_limit_just_below_the_largest_current_is_found_where_that_is_held() -> None:
+    """All but a few of the largest currents are the same one, so that they have no place between them for the limit."""
+    rise, limit = np.linspace(3e-3, 6.5e-3, 600), 6.47e-3
+    held = np.concatenate([rise, np.full(900, 6.5e-3), rise[::-1], rise, np.full(300, 6.5e-3)])
+    problem = _changed({"driver_saturation": {"limit": limit}}, drive=held)
+    limits = [h for h in hypotheses(problem, "integrated", problem.residual) if h.key == "driver_saturation"]
+    (best,) = score(problem, limits, problem.residual)
+    assert best.gain > 0.5 * (problem.residual_chi_square - problem.count)
+    assert fit_jointly(problem, limits, [best.start]).values[0]["limit"] == pytest.approx(limit, rel=1e-3)
 
 
 @pytest.mark.parametrize(("swings", "absorbed"), [(2.5, True), (40.0, False)])

@@ -29,6 +29,8 @@ Floats = NDArray[np.float64]
 Values = Mapping[str, float]
 INSIDE = (1.0, 0.995, 0.98, 0.95, 0.9, 0.8, 0.6)
 """Shares of the values that a limit may leave as they are."""
+BELOW = (0.005, 0.02, 0.05)
+"""A limit of the drive below its largest value, as a share of the span: a drive that is held there has no value in between."""
 SLOWEST = 3.0
 """Longest time constant that is looked for, in lengths of the longest recording."""
 SHORTEST_LAG = 0.1
@@ -257,6 +259,8 @@ def _starts(
             upper = _neutral(p) > 0
             inside = np.array(INSIDE)
             ends = np.quantile(seen, inside if upper else 1.0 - inside)
+            if not signal:
+                ends = np.append(ends, np.max(seen) - spread * np.array(BELOW))
             starts += [{p.name: float(end)} for end in dict.fromkeys(ends.tolist())]
             scales[p.name] = 0.02 * spread
         return starts, scales
