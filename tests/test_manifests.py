@@ -13,7 +13,9 @@ KEYS = {
     "clarabel": "python3-clarabel-pip",
     "control": "python-control-pip",
     "hypothesis": "python3-hypothesis",
+    "llvmlite": "python3-llvmlite",
     "jinja2": "python3-jinja2",
+    "lz4": "python3-lz4",
     "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
@@ -34,8 +36,6 @@ WITH_ANOTHER = {
     "cycler": "matplotlib",
     "backports": "rosbags",
     "compression": "rosbags",
-    "llvmlite": "numba",
-    "lz4": "rosbags",
     "slycot": "control",
 }
 """Module -> the one whose installation brings it."""

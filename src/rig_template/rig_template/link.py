@@ -59,7 +59,7 @@ class Link:
         self._rest = b""
         os.set_blocking(port.fileno(), False)
 
-    def tell(self, line: str) -> None:
+    def write(self, line: str) -> None:
         """Send a line that has no answer.
 
         Parameters
@@ -95,7 +95,7 @@ class Link:
         LinkError : no answer within the time, or no text.
         """
         self.drop()
-        self.tell(line)
+        self.write(line)
         deadline = time.monotonic() + self._timeout_s
         while b"\n" not in self._rest:
             self._wait(deadline, writing=False)

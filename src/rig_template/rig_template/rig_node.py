@@ -81,7 +81,7 @@ class RigNode(ManagedNode):
         point = operating_point(preset)
         self._period_s = 1.0 / (self._table.number("rate_hz") or point.rate_hz)
         self._channels = tuple(str(name) for name in self._table["channels"])  # type: ignore[union-attr]
-        self._diagnostics = Diagnostics(self, hardware_id=preset)
+        self._diagnostics = Diagnostics(self, hardware_id=preset, wall_time=True)
         self._safe_a = point.safe_a
         self._gate = CommandGate(point, round(self._period_s * _NS), self._diagnostics)
         self._stop = EmergencyStop(self, self._diagnostics)
@@ -111,11 +111,11 @@ class RigNode(ManagedNode):
     def _switch(self, on: bool) -> None:
         words = self._table.text("protocol.on" if on else "protocol.off")
         if self._link is not None and words:
-            self._link.tell(words)
+            self._link.write(words)
 
     def _drive(self, current_a: float) -> None:
         if self._link is not None:
-            self._link.tell(self._table.text("protocol.drive").format(current_a))
+            self._link.write(self._table.text("protocol.drive").format(current_a))
         self._drives_a = current_a
 
     def _sample(self) -> tuple[float, ...]:

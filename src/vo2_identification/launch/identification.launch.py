@@ -13,7 +13,11 @@ def generate_launch_description() -> LaunchDescription:
     preset = LaunchConfiguration("preset")
     seed = ParameterValue(LaunchConfiguration("seed"), value_type=int)
     model = ParameterValue(LaunchConfiguration("model_file"), value_type=str)
-    clock = {"use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)}
+    # `time` to all of them: how a node without this parameter joins the graph goes by it too
+    clock = {
+        "time": LaunchConfiguration("time"),
+        "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool),
+    }
     return LaunchDescription(
         [
             DeclareLaunchArgument("namespace", default_value="/vo2", description="Namespace of the loop."),
@@ -39,7 +43,7 @@ def generate_launch_description() -> LaunchDescription:
                 package="vo2_plant_sim",
                 executable="plant",
                 namespace=space,
-                parameters=[{"preset": preset, "seed": seed, "time": LaunchConfiguration("time")}, clock],
+                parameters=[{"preset": preset, "seed": seed}, clock],
                 output="screen",
             ),
             Node(

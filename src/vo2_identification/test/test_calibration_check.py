@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from vo2_models.device.description import described, preset
 from vo2_models.device.model import DeviceModel, SensorModel
-from vo2_models.identification.calibration_check import check_calibration, judge_fit
+from vo2_models.identification.calibration_check import bare_stretches, check_calibration, judge_fit
 from vo2_models.identification.device_fit import FitResult
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.identification.plausibility import impossible, unusual
@@ -75,8 +75,40 @@ def test_kelvin_in_place_of_degrees_is_refused(recording):
 def test_a_clock_and_a_length_that_cannot_be_are_refused(recording):
     with pytest.raises(ValueError, match=r"a sample every 1e-06 s, need at least 2\.5e-05 s"):
         check_calibration([replace(recording, time_s=recording.time_s / 1000)], "integrated")
-    with pytest.raises(ValueError, match="recording 2: found 499 samples, need at least 500"):
-        check_calibration([recording, recording.slice(0, 499)], "integrated")
+    with pytest.raises(ValueError, match="recording 2: found 19 samples, need at least 20"):
+        check_calibration([recording, recording.slice(0, 19)], "integrated")
+    with pytest.raises(ValueError, match="recordings: found 149 samples, need at least 150"):
+        check_calibration([recording.slice(0, 100), recording.slice(0, 49)], "integrated")
+
+
+def test_few_samples_are_counted_over_all_recordings_and_need_both_branches(recording):
+    assert check_calibration([recording.slice(0, 300), recording.slice(300, 599)], "integrated")[1] == []
+    (note,) = check_calibration([recording.slice(0, 499)], "integrated")[1]
+    assert note.startswith("499 samples are few")
+    with pytest.raises(
+        ValueError, match=r"only goes one way.*of one branch, need at least 500 samples, found 290"
+    ):
+        check_calibration([recording.slice(0, 290)], "integrated")
+
+
+def lossy(recording, kept):
+    return Recording(
+        recording.time_s[kept], {k: v[kept] for k, v in recording.channels.items()}, "integrated"
+    )
+
+
+def test_a_recording_of_gaps_or_on_no_clock_is_refused_unless_one_insists(recording):
+    rng = np.random.default_rng(4)
+    some = lossy(recording, rng.uniform(size=COUNT) < 0.7)
+    with pytest.raises(ValueError, match=r"^sweep: gaps make up 5\d % of the recording, need at most 30 %"):
+        check_calibration([some], "integrated", names=["sweep"])
+    (note,) = check_calibration([some], "integrated", gap_limit=0.6)[1]
+    assert re.search(r"recording 1: \d+ gaps are 5\d\.\d % of the time", note)
+    steps = rng.choice([0.6e-3, 1e-3, 1.4e-3], COUNT, p=[0.45, 0.1, 0.45])
+    restless = replace(recording, time_s=np.cumsum(steps))
+    with pytest.raises(ValueError, match="the clock is not that of a regular acquisition"):
+        check_calibration([restless], "integrated")
+    check_calibration([restless], "integrated", gap_limit=0.3)
 
 
 def test_samples_far_longer_apart_than_the_device_takes_are_told(recording):
@@ -134,6 +166,28 @@ def fitted(recording, **residuals):
         residuals={},
         settled=False,
         notes=(),
+    )
+
+
+def test_noise_far_above_what_a_shipped_device_declares_is_told(recording):
+    result = fitted(recording, tip_deflection=2e-6)
+    sensors = {TIP_DEFLECTION: replace(result.model.sensors[TIP_DEFLECTION], noise=1.9e-6)}
+    loud = replace(result, model=replace(result.model, sensors=sensors))
+    (note,) = judge_fit(loud, [recording])
+    assert note.startswith("tip_deflection: its noise was found to be 38 times what device integrated has")
+
+
+def test_stretches_of_the_operating_range_without_samples_are_told(recording):
+    low, high = sorted(
+        preset("integrated").steady_temperature(i) for i in preset("integrated").operating_range
+    )
+    half = 0.5 * (low + high)
+    whole = replace(fitted(recording), path=np.linspace(low - 1.0, high + 1.0, COUNT))
+    assert bare_stretches(whole) == []
+    (note,) = bare_stretches(replace(whole, path=np.linspace(low - 1.0, half, COUNT)))
+    assert (
+        re.match(rf"hardly a sample at {half + 1:.0f} to {high:.0f} degC", note)
+        or f"to {high:.0f} degC, of" in note
     )
 
 

@@ -124,6 +124,10 @@ def test_a_bag_is_predicted_and_compared(folder, capsys):
     assert bag["extension"] == pytest.approx(found["extension"]) and bag.device == "stack_07"
     page = (output / "report.html").read_text(encoding="utf-8")
     assert "drive_voltage" in page and page.count("<svg") == 1
+    for text in (printed, page):  # nothing is promised that was not measured
+        assert (
+            "what the fit missed of held-out parts of its calibration" in text and "95 % bounds" not in text
+        )
 
 
 def test_a_prediction_stands_at_the_stamps_of_a_rig_that_counts_anew_behind_a_late_sample(folder):
@@ -148,6 +152,7 @@ def test_a_table_and_a_written_drive_are_predicted(folder, tmp_path):
     assert predict.main([*common, str(tmp_path / "one"), "--csv", str(table)]) == 0
     assert predict.main([*common, str(tmp_path / "two"), "--drive", "0,60,20,60,0", "--rate", "50"]) == 0
     assert predict.main([*common, str(tmp_path / "three"), "--drive", "-5,60,-5"]) == 0
+    assert "held-out parts of its calibration" in (tmp_path / "three" / "report.html").read_text("utf-8")
     with (tmp_path / "two" / "prediction.csv").open(encoding="utf-8") as file:
         volts = [float(row["drive_voltage"]) for row in csv.DictReader(file)]
     assert max(volts) == 60.0 and len(volts) == pytest.approx(200 / 50 / DT, rel=0.05)
@@ -196,3 +201,13 @@ def test_a_recording_of_another_shipped_device_is_refused(folder, tmp_path, caps
     arguments = ["--model", str(folder / "model.yaml"), "--bag", str(tmp_path / "bag")]
     assert predict.main([*arguments, "--output", str(tmp_path / "out")]) == 2
     assert "was recorded on device 'peltier', the model is of 'stack_07'" in capsys.readouterr().err
+
+
+def test_ctrl_c_ends_a_draft_with_one_line_and_status_130(monkeypatch, tmp_path, capsys):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(describe, "_text", interrupted)
+    assert describe.main(["--bag", "bag", "--output", str(tmp_path / "device.yaml"), "--quiet"]) == 130
+    assert capsys.readouterr().err == "describe: interrupted; nothing is written\n"
+    assert not (tmp_path / "device.yaml").exists()

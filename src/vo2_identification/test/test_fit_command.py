@@ -114,6 +114,24 @@ def test_a_wrong_unit_makes_no_model(bag, capsys, tmp_path):
     assert not (tmp_path / "model.yaml").exists()
 
 
+def test_a_recording_of_gaps_is_refused_and_fitted_where_one_insists(bag, capsys, tmp_path):
+    whole = read_recording(bag)[0]
+    kept = np.random.default_rng(5).uniform(size=len(whole)) < 0.7
+    channels = {name: values[kept] for name, values in whole.channels.items()}
+    write_bag(tmp_path / "lossy", Recording(whole.time_s[kept], channels, "integrated"))
+    output = tmp_path / "model.yaml"
+    arguments = ["--bag", str(tmp_path / "lossy"), "--device", "integrated", "--output", str(output)]
+    assert "of the recording, need at most 30 % (fit: --gap-limit)" in _refused(capsys, *arguments)
+    assert not output.exists()
+    assert main([*arguments, "--plays", "4", "--simulation-only", "--gap-limit", "0.7"]) == 0
+    assert "% of the time: where no command is known" in capsys.readouterr().out and output.exists()
+    for wrong in (["--gap-limit", "30"], ["--bags", str(tmp_path), "--gap-limit", "0.5"]):
+        given = wrong if "--bags" in wrong else [*arguments[:2], *wrong]
+        with pytest.raises(SystemExit):
+            main([*given, *arguments[2:]])
+        assert "--gap-limit" in capsys.readouterr().err
+
+
 def test_interrupting_is_one_line(bag, capsys, tmp_path, monkeypatch):
     def interrupt(*_arguments, **_options):
         raise KeyboardInterrupt

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
@@ -87,6 +88,21 @@ def test_a_second_start_is_refused_until_cancelled():
         assert trigger(rig, "cancel").success
         assert not trigger(rig, "cancel").success
         assert trigger(rig, "start").success
+
+
+def test_a_model_of_another_device_is_refused_at_the_start_and_at_run_time():
+    wrong = "found integrated, need the preset peltier"
+    with (
+        bench(arguments(preset="peltier", model__device="integrated")) as rig,
+        pytest.raises(ValueError, match=wrong),
+    ):
+        rig.add(IdentifierNode)
+    with bench(arguments(preset="peltier")) as rig:
+        node = rig.add(IdentifierNode)
+        (refused,) = node.set_parameters([Parameter("model.device", value="integrated")])
+        assert not refused.successful and "need the preset peltier" in refused.reason
+        (taken,) = node.set_parameters([Parameter("model.device", value="peltier")])
+        assert taken.successful
 
 
 def test_a_sample_that_comes_late_is_dropped_and_counted():

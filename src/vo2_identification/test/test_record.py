@@ -18,7 +18,9 @@ from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from vo2_identification.bags import read_bag, read_recording
+from vo2_identification.recorder_node import Recorder
 from vo2_interface.samples import SampleWriter
+from vo2_interface.testing import bench
 from vo2_interface.topics import LATCHED_QOS, SAMPLE_QOS
 
 from vo2_identification import record
@@ -407,6 +409,27 @@ def test_periods_that_a_source_left_out_are_told_and_too_many_end_with_status_1(
         )
 
 
+@pytest.mark.parametrize(("start_ns", "status"), [(0, 1), (time.time_ns(), 0)], ids=["lockstep", "wall"])
+def test_a_topic_whose_first_samples_are_absent_is_told_and_in_lockstep_ends_with_status_1(
+    graph, tmp_path, start_ns, status
+):
+    measurement = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
+    command = graph.publisher(JointState, "/vo2/command", SAMPLE_QOS)
+    measured = [MEASURED.write(start_ns + k * STEP_NS, (1e-3, 1e5)) for k in range(1, 40)]
+    for each in measured[:3]:
+        measurement.publish(each)  # before the recorder is there
+    with running(RECORD, "--output", tmp_path / "bag", "--messages", 36 + 39) as process:
+        wait_for_recorder(process, measurement, command)
+        for k in range(1, 40):
+            command.publish(COMMANDED.write(start_ns + k * STEP_NS, (1.0,)))
+        publish_paced(measurement, measured[3:], 500)
+        _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == status, err
+    assert "/vo2/measurement: " in err
+    assert "begins 0.003000 s later than /vo2/command: 3 sample periods before are not in the bag" in err
+    assert ("the bag lacks 3 messages, more than --lost-limit 0" in err) is bool(status)
+
+
 def test_malformed_messages_are_left_out_and_counted(graph, tmp_path):
     publisher = graph.publisher(JointState, "/vo2/measurement", SAMPLE_QOS)
     negative, overflow = bytearray(sample(1)), bytearray(sample(1))
@@ -453,3 +476,17 @@ def test_the_namespace_of_ros_arguments_chooses_the_loop(graph, tmp_path):
         _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     assert counted(tmp_path / "bag") == {"/rig/measurement": 1}
+
+
+def test_what_a_recorder_asks_for_can_be_overridden_and_then_stands():
+    nothing = SimpleNamespace(flush_if_due=lambda: None)
+    setting = "qos_overrides./vo2/measurement.subscription.reliability:=best_effort"
+    with bench(["--ros-args", "-p", setting]) as rig:
+        rig.node.create_publisher(JointState, "/vo2/measurement", LATCHED_QOS)
+        recorder = rig.add(lambda: Recorder(nothing))
+        rig.until(lambda: recorder.count_publishers("/vo2/measurement") == 1)
+        recorder.idle()
+        found = {each.topic_name: each.qos_profile for each in recorder.subscriptions}
+    assert found["/vo2/measurement"].reliability == ReliabilityPolicy.BEST_EFFORT
+    assert found["/vo2/measurement"].durability == DurabilityPolicy.VOLATILE
+    assert found["/vo2/estimate"].reliability == ReliabilityPolicy.RELIABLE

@@ -1,10 +1,13 @@
 """What is missing of a stream: publishers' numbers, gaps in stamps."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from vo2_identification.stream_check import StreamCheck
+from vo2_identification.stream_check import StreamCheck, compare_beginnings
 
 MS = 1_000_000
+DAY = 86_402_000 * MS
+"""A time of day more than a day after the stamps."""
 
 
 @given(st.lists(st.booleans(), min_size=2, max_size=200), st.integers(1, 10**6))
@@ -69,3 +72,38 @@ def test_a_publisher_that_is_known_late_or_joins_loses_nothing():
     assert check.lost == 0
     check.hear_number(8_601_603, 5)
     assert check.lost == 3
+
+
+def begun(stamps, number):
+    """A check of samples with these stamps [ms], the first of them with this number of its publisher."""
+    check = StreamCheck()
+    for k, stamp in enumerate(stamps):
+        check.hear_number(number + k, 1)
+        check.hear_stamp(stamp * MS)
+    return check
+
+
+@pytest.mark.parametrize(
+    ("command", "measurement", "now_ns", "lost", "told"),
+    [
+        ((1000, 1), (1001, 2), DAY, 1, True),  # the first measurement: sent, answered, not heard
+        ((1000, 3), (1020, 40), DAY, 20, True),
+        ((1000, 1), (1020, 1), DAY, 0, False),  # its first words: nothing was sent before
+        ((1000, 1), (1000, 7), DAY, 0, False),  # repeats of the first sample
+        ((1000, 5000), (1003, 9000), DAY, 0, True),  # a recorder that came later
+        ((1000, 1), (1020, 40), 0, 0, True),  # wall time: the node that commands may have come later
+    ],
+)
+def test_a_topic_that_begins_later_than_the_others_is_told_and_lost_in_lockstep(
+    command, measurement, now_ns, lost, told
+):
+    checks = {
+        "/vo2/command": begun(range(command[0], 1100), command[1]),
+        "/vo2/measurement": begun(range(measurement[0], 1100), measurement[1]),
+        "/vo2/estimate": StreamCheck(),
+    }
+    compare_beginnings(checks, now_ns)
+    late = checks["/vo2/measurement"]
+    assert (late.lost, checks["/vo2/command"].lost) == (lost, 0)
+    assert ("later than /vo2/command" in late.words()) is told
+    assert checks["/vo2/command"].words() == checks["/vo2/estimate"].words() == ""

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from vo2_models.command_line import refuse
+from vo2_models.command_line import INTERRUPTED, refuse
 
 __all__ = ["main"]
 
@@ -21,18 +21,18 @@ loads into estimator, plant and controller like any other model file; its error 
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0, 2 on bad input.
+    """Run the command; return its exit status: 0, 2 on bad input, 130 after Ctrl-C.
 
     Parameters
     ----------
     args : command line, None for that of the process
     """
     options = _parser().parse_args(args)
-    from vo2_models.hysteresis.compress_model import compress_levels, compress_plays_of
-    from vo2_models.model_file import check_model_place, load_model_parameters, save_model_parameters
-    from vo2_models.self_sensing.compressed import bounds_after
-
     try:
+        from vo2_models.hysteresis.compress_model import compress_levels, compress_plays_of
+        from vo2_models.model_file import check_model_place, load_model_parameters, save_model_parameters
+        from vo2_models.self_sensing.compressed import bounds_after
+
         check_model_place(options.output, _MARK)
         values = load_model_parameters(options.model)
         if options.plays is not None:
@@ -50,6 +50,9 @@ def main(args: Sequence[str] | None = None) -> int:
         save_model_parameters(options.output, found, comment="\n".join([_MARK, *lines]))
     except ValueError as error:
         return refuse("compress", error)
+    except KeyboardInterrupt:
+        print("compress: interrupted; nothing is written", file=sys.stderr)
+        return INTERRUPTED
     except OSError as error:
         print(
             f"compress: {options.output}: cannot be written ({error.strerror or error}); name another",

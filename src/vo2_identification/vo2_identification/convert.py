@@ -14,7 +14,7 @@ from vo2_models.recording import Recording
 if TYPE_CHECKING:
     from vo2_identification.conversion.column_map import ColumnMap
 
-from vo2_models.command_line import refuse
+from vo2_models.command_line import INTERRUPTED, refuse
 
 __all__ = ["main", "shipped_maps"]
 
@@ -26,7 +26,7 @@ one /vo2/measurement message per row, in ampere, ohm, metre and degree Celsius.
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0, 2 on bad input.
+    """Run the command; return its exit status: 0, 2 on bad input, 130 after Ctrl-C.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def main(args: Sequence[str] | None = None) -> int:
         return _convert(options)
     except KeyboardInterrupt:
         print("convert: interrupted; the bags named so far are complete", file=sys.stderr)
-        return 130
+        return INTERRUPTED
 
 
 def _convert(options: argparse.Namespace) -> int:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from vo2_models.device.description_file import Document
     from vo2_models.recording import Recording
 
-from vo2_models.command_line import Progress, refuse
+from vo2_models.command_line import INTERRUPTED, Progress, refuse
 
 __all__ = ["drafted", "main"]
 
@@ -48,7 +48,7 @@ _EVERY_S = 10.0
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0, 2 on bad input.
+    """Run the command; return its exit status: 0, 2 on bad input, 130 after Ctrl-C.
 
     Parameters
     ----------
@@ -73,6 +73,9 @@ def main(args: Sequence[str] | None = None) -> int:
             print(f"wrote {options.output}")
     except (ValueError, OSError) as error:
         return refuse("describe", error)
+    except KeyboardInterrupt:
+        print("describe: interrupted; nothing is written", file=sys.stderr)
+        return INTERRUPTED
     return 0
 
 

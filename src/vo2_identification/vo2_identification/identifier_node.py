@@ -39,6 +39,7 @@ from vo2_interface.topics import (
     MEASUREMENT,
     SAMPLE_QOS,
 )
+from vo2_models.device.description import check_model_of
 from vo2_models.identification.digest import DIGEST_PARAMETERS
 from vo2_models.identification.drive_fit import HOLD_OUT
 from vo2_models.model_file import save_model_parameters
@@ -114,8 +115,11 @@ class IdentifierNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("identifier", namespace=DEFAULT_NAMESPACE)
         records = (*IDENTIFIER_PARAMETERS, *model_parameters(), *DIGEST_PARAMETERS)
-        self._table = ParameterTable(self, records, read_only=("preset", "rate_hz", "autostart"))
+        self._table = ParameterTable(
+            self, records, read_only=("preset", "rate_hz", "autostart"), judge=self._judge
+        )
         self._preset = self._table.text("preset")
+        self._judge(self._table.given())
         point = operating_point(self._preset)
         self._period_s, self._safe_a = 1.0 / (self._table.number("rate_hz") or point.rate_hz), point.safe_a
         self._diagnostics = Diagnostics(self, hardware_id=self._preset)
@@ -148,6 +152,11 @@ class IdentifierNode(ManagedNode):
         self._manage(self._diagnostics, autostart=self._table.flag("autostart"))
         SampleInput(self, MEASUREMENT, self._guarded(self._on_measurement), self._diagnostics)
         create_steady_timer(self, _POLL_S, self._guarded(self._on_poll))
+
+    def _judge(self, values: Mapping[str, Value]) -> None:
+        """Refuse a model of another device."""
+        if device := values.get("model.device"):
+            check_model_of(str(device), self._preset)
 
     # --- life cycle ---------------------------------------------------------------------------------
 
@@ -443,7 +452,7 @@ class IdentifierNode(ManagedNode):
         told = {"state": state, **(values or {})}
         self._diagnostics.report("diagnosis", level, text, told)
         if state == "running":
-            self._diagnose_action.tell(text=text, percent=told.get("percent", 0))
+            self._diagnose_action.publish_feedback(text=text, percent=told.get("percent", 0))
         elif state != "done":
             self._diagnose_action.end(False, message=text)
 
@@ -459,7 +468,7 @@ class IdentifierNode(ManagedNode):
             kept = self._table.text("model_file") if state == "done" and self._table.flag("fit") else ""
             self._identify_action.end(state == "done", message=text, model_file=kept)
         else:
-            self._identify_action.tell(state=state, text=text, percent=percent)
+            self._identify_action.publish_feedback(state=state, text=text, percent=percent)
 
 
 def _is_empty(value: Value) -> bool:

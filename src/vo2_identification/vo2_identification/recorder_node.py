@@ -14,12 +14,12 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos, QosDurability, QosReliability
 from vo2_interface.samples import MalformedSampleError, SampleReader, message_stamp_ns
-from vo2_interface.topics import DEFAULT_NAMESPACE, LATCHED_QOS, READ_QOS, SAMPLE_QOS
+from vo2_interface.topics import DEFAULT_NAMESPACE, LATCHED_QOS, OVERRIDABLE_INPUT, READ_QOS, SAMPLE_QOS
 
 from vo2_identification.bags.channels import JOINT_STATE, message_class
 from vo2_identification.bags.qos import contract_qos
 from vo2_identification.bags.writing import BagWriter, message_definition
-from vo2_identification.stream_check import StreamCheck
+from vo2_identification.stream_check import StreamCheck, compare_beginnings
 
 __all__ = ["Recorder", "contract_topics"]
 
@@ -30,6 +30,8 @@ _ANOTHER_CLOCK_NS = 86_400_000_000_000
 _MOST_WAITING = 1000
 _PAUSING = ("command", "reference")
 """Roles that stop and go by design: a gap in their stamps says nothing."""
+_OF_ONE_PERIOD = ("command", "measurement", "estimate")
+"""Roles that have a sample of every period; a reference is latched, and may be older than the recorder."""
 
 
 def contract_topics(namespace: str) -> dict[str, str]:
@@ -50,7 +52,8 @@ class Recorder(Node):
     The log time of a sample and of a clock is its own stamp, so that a run in simulated time always makes the
     same bag. Other messages are filed under their stamp if it is on the samples' clock, else under the latest
     sample. Exact repeats of a topic's last sample (a plant in lockstep repeats itself until answered) are left out.
-    A message that begins with no stamp although its type does is left out and counted.
+    A message that begins with no stamp although its type does is left out and counted. The parameters
+    `qos_overrides./TOPIC.subscription.*` override what it asks for of a topic, and what it would take from the publishers.
 
     No executor spins it: `take` is to be called some fifty times a second, since to be woken for every message would
     take time from the loop beside it, and since only so each message comes with its publisher's number.
@@ -223,7 +226,17 @@ class Recorder(Node):
             self._other(topic, data)
 
     def finish(self) -> None:
-        """Write what still waits for a first sample to tell the time."""
+        """Write what still waits for a first sample to tell the time, and see what began later than the rest of its loop."""
+        self._write_waiting()
+        loops: dict[str, dict[str, StreamCheck]] = {}
+        for topic, check in self.checks.items():
+            space, _, role = topic.rpartition("/")
+            if role in _OF_ONE_PERIOD:
+                loops.setdefault(space, {})[topic] = check
+        for loop in loops.values():
+            compare_beginnings(loop, time.time_ns())
+
+    def _write_waiting(self) -> None:
         if self._waiting and self._latest_ns is None:
             self._latest_ns = time.time_ns()
         self._release()
@@ -237,7 +250,8 @@ class Recorder(Node):
         )
         before = self._subscriptions_by_topic.get(topic)
         if before is not None:
-            if (
+            # what the command line says stands, whatever is offered
+            if any(name.startswith(f"qos_overrides.{topic}.") for name in self._parameter_overrides) or (
                 before.qos_profile.durability == qos.durability
                 and before.qos_profile.reliability == qos.reliability
             ):
@@ -249,7 +263,14 @@ class Recorder(Node):
         except ValueError as error:
             raise ValueError(f"topic {topic}: {error}; leave it out of --topics") from None
         # `take` asks for the messages: nobody calls this
-        self._subscriptions_by_topic[topic] = self.create_subscription(kind, topic, _ignore, qos, raw=True)
+        self._subscriptions_by_topic[topic] = self.create_subscription(
+            kind,
+            topic,
+            _ignore,
+            qos,
+            raw=True,
+            qos_overriding_options=OVERRIDABLE_INPUT if before is None else None,
+        )
 
     def _sample(self, topic: str, data: bytes) -> None:
         if self._last.get(topic) == data:
@@ -261,8 +282,8 @@ class Recorder(Node):
         else:
             stamp_ns = message_stamp_ns(data)
         self._last[topic] = data
-        if self._types[topic] == JOINT_STATE and topic.rsplit("/", 1)[-1] not in _PAUSING:
-            self.checks[topic].hear_stamp(stamp_ns)
+        if self._types[topic] == JOINT_STATE:
+            self.checks[topic].hear_stamp(stamp_ns, steady=topic.rsplit("/", 1)[-1] not in _PAUSING)
         first = self._latest_ns is None
         self._latest_ns = stamp_ns
         self._write(topic, stamp_ns, data)
@@ -274,7 +295,7 @@ class Recorder(Node):
             message_stamp_ns(data)  # refused now, not when it is written
         self._waiting.append((topic, data))
         if self._latest_ns is not None or len(self._waiting) >= _MOST_WAITING:
-            self.finish()
+            self._write_waiting()
 
     def _release(self) -> None:
         waiting, self._waiting = self._waiting, []

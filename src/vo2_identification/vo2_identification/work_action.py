@@ -63,7 +63,7 @@ class WorkAction:
             self._server.destroy()
             self._server = None
 
-    def tell(self, **feedback: object) -> None:
+    def publish_feedback(self, **feedback: object) -> None:
         """Send feedback to the client of the goal that is at work, if there is one.
 
         Parameters

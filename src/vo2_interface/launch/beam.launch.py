@@ -13,14 +13,22 @@ def generate_launch_description() -> LaunchDescription:
     namespace = LaunchConfiguration("namespace")
     urdf = PathJoinSubstitution([FindPackageShare("vo2_interface"), "urdf", "cantilever.urdf"])
     description = ParameterValue(Command(["cat ", urdf]), value_type=str)
+    sim_time = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
     return LaunchDescription(
         [
             DeclareLaunchArgument("namespace", default_value="/vo2", description="Namespace of the loop."),
+            DeclareLaunchArgument(
+                "use_sim_time",
+                default_value="false",
+                description="Whether the node's clock follows /clock, which the plant publishes in lockstep.",
+            ),
             Node(
                 package="robot_state_publisher",
                 executable="robot_state_publisher",
                 namespace=namespace,
-                parameters=[{"robot_description": description, "publish_frequency": 50.0}],
+                parameters=[
+                    {"robot_description": description, "publish_frequency": 50.0, "use_sim_time": sim_time}
+                ],
                 remappings=list({"joint_states": "measurement"}.items()),
             ),
         ]

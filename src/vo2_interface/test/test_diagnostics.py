@@ -3,6 +3,14 @@
 import os
 import subprocess
 import sys
+import time
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from vo2_interface.diagnostics import Diagnostics
+from vo2_interface.samples import SampleWriter
+from vo2_interface.testing import bench
+from vo2_interface.topics import DIAGNOSTICS, SAMPLE_QOS
 
 FLAPS = """
 from diagnostic_msgs.msg import DiagnosticArray
@@ -66,3 +74,26 @@ def test_a_log_line_names_the_file_and_the_line_that_report(tmp_path):
     place = f"{program.resolve()}:9"
     assert said[:4] == [f"{place}: {severity}: model: {text}" for severity, text in levels]
     assert said[4] == f"{program.resolve()}:10: WARN: model: too many"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wall_time"),
+    [([], False), (["--ros-args", "-p", "use_sim_time:=true"], False), ([], True)],
+    ids=["lockstep", "use_sim_time", "wall"],
+)
+def test_what_is_told_before_the_first_sample_has_no_stamp_of_another_clock(arguments, wall_time):
+    stamps = []
+    with bench(arguments) as rig:
+        rig.node.create_subscription(
+            DiagnosticArray, DIAGNOSTICS, lambda told: stamps.append(told.header.stamp.sec), SAMPLE_QOS
+        )
+        rig.until(lambda: rig.node.count_subscribers(DIAGNOSTICS) == 2)
+        diagnostics = Diagnostics(rig.node, wall_time=wall_time)
+        rig.until(lambda: diagnostics._publisher.get_subscription_count() == 2)
+        diagnostics.report("signal", "ok", "steps")
+        diagnostics.note_sample(SampleWriter(("film_resistance",)).write(7 * 10**9, (1e5,)))
+        diagnostics.report("signal", "ok", "sines")
+        rig.until(lambda: len(stamps) == 2)
+    before, after = stamps
+    assert after == 7
+    assert abs(before - time.time()) < 600 if wall_time else before == 0

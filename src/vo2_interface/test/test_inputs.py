@@ -9,8 +9,11 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from vo2_interface.diagnostics import Diagnostics
+from vo2_interface.emergency_stop import EmergencyStop
 from vo2_interface.inputs import SampleInput
+from vo2_interface.live.node import LiveNode
 from vo2_interface.samples import MalformedSampleError, SampleReader, SampleWriter, message_stamp_ns
+from vo2_interface.supervise import SuperviseNode
 from vo2_interface.testing import bench
 
 MS = 1_000_000
@@ -79,6 +82,31 @@ def test_reliability_can_be_overridden_by_parameter():
         rig.until(lambda: rig.node.get_subscriptions_info_by_topic("/vo2/measurement"))
         (info,) = rig.node.get_subscriptions_info_by_topic("/vo2/measurement")
         assert info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+
+
+class Obeys(Node):
+    """A node with an emergency stop."""
+
+    def __init__(self):
+        super().__init__("obeys", namespace="/vo2")
+        EmergencyStop(self, Diagnostics(self))
+
+
+@pytest.mark.parametrize(
+    ("make", "topic", "arguments"),
+    [
+        (Obeys, "/vo2/emergency_stop", []),
+        (LiveNode, "/vo2/emergency_stop", ["-p", "port:=0"]),
+        (SuperviseNode, "/diagnostics", ["-p", "run:=['vo2_interface live']"]),
+    ],
+    ids=["emergency stop", "live", "supervise"],
+)
+def test_every_input_can_be_overridden(make, topic, arguments):
+    setting = f"qos_overrides.{topic}.subscription.reliability:=best_effort"
+    with bench(["--ros-args", "-p", setting, *arguments]) as rig:
+        node = rig.add(make)
+        first, *_ = [each for each in node.subscriptions if each.topic_name == topic]
+        assert first.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
 
 
 def test_what_cannot_be_read_is_dropped_and_told_once_per_cause():

@@ -45,10 +45,21 @@ class Diagnostics:
     A message is sent when a status changes; `beat` repeats the present ones for late listeners. What
     goes wrong, and that it is well again, is also logged once per change. Where it goes on changing to and fro, the eighth time
     and more, only every doubling is logged, and who listens gets the newest twice a second.
+
+    What is told without a stamp has that of the last sample that was noted. Before the first it has the node's time where
+    that is the samples' too, else 0, which is no time in ROS: in lockstep nobody knows it yet, and the time of day would be
+    read as decades later.
+
+    Parameters
+    ----------
+    node : that tells
+    hardware_id : of its device
+    wall_time : whether samples carry the time of day
     """
 
-    def __init__(self, node: Node, *, hardware_id: str = "") -> None:
+    def __init__(self, node: Node, *, hardware_id: str = "", wall_time: bool = False) -> None:
         self._node = node
+        self._own_time = wall_time or node.get_parameter("use_sim_time").value
         self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, SAMPLE_QOS)
         self._present: dict[str, tuple[str, str, dict[str, str]]] = {}
         self._watched: list[Publisher] = []
@@ -168,10 +179,10 @@ class Diagnostics:
 
     def _send(self, topics: list[str], stamp_ns: int | None) -> None:
         message = DiagnosticArray()
-        if stamp_ns is None:
-            stamp_ns = (
-                message_stamp_ns(self._heard) if self._heard else self._node.get_clock().now().nanoseconds
-            )
+        if stamp_ns is None and self._heard:
+            stamp_ns = message_stamp_ns(self._heard)
+        elif stamp_ns is None:
+            stamp_ns = self._node.get_clock().now().nanoseconds if self._own_time else 0
         message.header.stamp = stamp_message(stamp_ns)
         for topic in topics:
             level, text, values = self._present[topic]

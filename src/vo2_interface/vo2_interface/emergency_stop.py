@@ -13,7 +13,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
 from vo2_interface.diagnostics import Diagnostics
-from vo2_interface.topics import EMERGENCY_STOP, EMERGENCY_STOP_QOS
+from vo2_interface.topics import EMERGENCY_STOP, EMERGENCY_STOP_QOS, OVERRIDABLE_INPUT
 
 __all__ = ["EmergencyStop"]
 
@@ -28,7 +28,7 @@ class EmergencyStop:
     the topic, so that all nodes follow. A node that hears a stop says it again: who speaks once, such as
     `ros2 topic pub --once`, may be gone before discovery has brought the word to more than one node. A stop is heard from
     publishers of any quality of service, a release from reliable, latched ones only (as the services and `ros2 topic pub`
-    are).
+    are), unless `qos_overrides./TOPIC.subscription.*` says otherwise.
 
     The topic is latched: a node that starts while the graph is stopped stops with it. Such a node hears the last word
     of each publisher in any order. So for its first second a `true` stands whatever else it hears, and a node that
@@ -54,7 +54,12 @@ class EmergencyStop:
         # a publisher that latches nothing is heard by the second one: that it does not suit the first is no news
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         node.create_subscription(
-            Bool, EMERGENCY_STOP, self._on_word, EMERGENCY_STOP_QOS, event_callbacks=quiet
+            Bool,
+            EMERGENCY_STOP,
+            self._on_word,
+            EMERGENCY_STOP_QOS,
+            event_callbacks=quiet,
+            qos_overriding_options=OVERRIDABLE_INPUT,
         )
         node.create_subscription(Bool, EMERGENCY_STOP, self._on_any_word, qos_profile_sensor_data)
         node.create_service(SetBool, "~/emergency_stop", self._on_call)

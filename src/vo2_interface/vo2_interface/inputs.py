@@ -16,16 +16,10 @@ from sensor_msgs.msg import JointState
 
 from vo2_interface.diagnostics import Diagnostics
 from vo2_interface.samples import MalformedSampleError, message_stamp_ns
-from vo2_interface.topics import LATCHED_QOS, READ_QOS
+from vo2_interface.topics import LATCHED_QOS, OVERRIDABLE_INPUT, READ_QOS
 
 __all__ = ["SampleInput"]
 
-_OVERRIDABLE = (
-    QoSPolicyKind.HISTORY,
-    QoSPolicyKind.DEPTH,
-    QoSPolicyKind.RELIABILITY,
-    QoSPolicyKind.DURABILITY,
-)
 _STEPS = 20
 """Steps between stamps after which the usual one is known."""
 
@@ -66,7 +60,7 @@ class SampleInput:
         self._steps = 0
         self._lost = 0
         self._qos = copy(LATCHED_QOS if latched else READ_QOS)
-        self._subscription = self._subscribe(QoSOverridingOptions(_OVERRIDABLE))
+        self._subscription = self._subscribe(OVERRIDABLE_INPUT)
         self._qos = self._subscription.qos_profile
         if steady and not latched:
             diagnostics.watch_input(topic, lambda: self._arrived)

@@ -151,7 +151,9 @@ class ParameterTable:
             raise ValueError(result.reason)
 
     def _check(self, parameters: list[RosParameter]) -> SetParametersResult:
-        after = self.given() if self._judge is not None else {}
+        # rclpy asks for the parameters of subscriptions too, which say nothing of ours
+        judge = self._judge if any(each.name in self._records for each in parameters) else None
+        after = self.given() if judge is not None else {}
         try:
             for parameter in parameters:
                 record = self._records.get(parameter.name)
@@ -159,8 +161,8 @@ class ParameterTable:
                     continue
                 record.check(_from_ros(parameter))
                 after[parameter.name] = _from_ros(parameter)
-            if self._judge is not None:
-                self._judge(after)
+            if judge is not None:
+                judge(after)
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

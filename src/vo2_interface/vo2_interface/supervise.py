@@ -27,7 +27,7 @@ from vo2_interface.diagnostics import Diagnostics
 from vo2_interface.executable import node_main
 from vo2_interface.parameters import ParameterTable
 from vo2_interface.timers import create_steady_timer
-from vo2_interface.topics import DEFAULT_NAMESPACE, DIAGNOSTICS, READ_QOS
+from vo2_interface.topics import DEFAULT_NAMESPACE, DIAGNOSTICS, OVERRIDABLE_INPUT, READ_QOS
 
 __all__ = ["SUPERVISE_PARAMETERS", "SuperviseNode", "main"]
 
@@ -88,7 +88,7 @@ class SuperviseNode(Node):
     def __init__(self) -> None:
         super().__init__("supervise", namespace=DEFAULT_NAMESPACE)
         table = self._table = ParameterTable(self, SUPERVISE_PARAMETERS, judge=self._judge)
-        self._diagnostics = Diagnostics(self)
+        self._diagnostics = Diagnostics(self, wall_time=True)
         entries = table["run"]
         self._children = [_child(str(entry)) for entry in entries] if isinstance(entries, list) else []
         if not self._children:
@@ -98,7 +98,9 @@ class SuperviseNode(Node):
             raise ValueError(
                 f"run: found {', '.join(twice)} twice under one name, need -r __node:=NAME for one of them"
             )
-        self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_beat, READ_QOS)
+        self.create_subscription(
+            DiagnosticArray, DIAGNOSTICS, self._on_beat, READ_QOS, qos_overriding_options=OVERRIDABLE_INPUT
+        )
         create_steady_timer(self, _LOOK_S, self._look)
         create_steady_timer(self, _BEAT_S, self._diagnostics.beat)  # for who comes late
 

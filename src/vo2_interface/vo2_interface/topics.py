@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
 
 __all__ = [
     "CLOCK",
@@ -19,6 +20,7 @@ __all__ = [
     "LOCKSTEP_QOS",
     "MEASUREMENT",
     "ONE_DEVICE",
+    "OVERRIDABLE_INPUT",
     "READ_QOS",
     "REFERENCE",
     "REFERENCE_CHANNELS",
@@ -70,3 +72,7 @@ How many samples may be on their way the Fast DDS profile says."""
 LATCHED_QOS = _reliable(100, DurabilityPolicy.TRANSIENT_LOCAL)
 EMERGENCY_STOP_QOS = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """Of each publisher the last word only."""
+OVERRIDABLE_INPUT = QoSOverridingOptions(
+    (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
+)
+"""Declares the parameters `qos_overrides./TOPIC.subscription.reliability`, `.depth`, `.history` and `.durability` of an input."""

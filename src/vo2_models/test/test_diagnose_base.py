@@ -330,7 +330,7 @@ def test_what_scores_cannot_tell_is_tried_both_ways() -> None:
         for sampled in (0.0, 1.0)
     ]
     fits = _refitted(problem, starts, Limits(), 2, Clock(lambda share, text: None, 1))
-    stuck = fit_jointly(problem, [hypothesis], [starts[1].start])
+    stuck = fit_jointly(problem, [hypothesis], [starts[1].start], Limits())
     assert stuck.gain < 0.5 * fits[0].gain  # and would not be followed to the end
     for fit in fits:
         assert fit.values[0]["sampled"] == 0.0
@@ -416,7 +416,9 @@ def test_a_limit_just_below_the_largest_current_is_found_where_that_is_held() ->
     limits = [h for h in hypotheses(problem, "integrated", problem.residual) if h.key == "driver_saturation"]
     (best,) = score(problem, limits, problem.residual)
     assert best.gain > 0.5 * (problem.residual_chi_square - problem.count)
-    assert fit_jointly(problem, limits, [best.start]).values[0]["limit"] == pytest.approx(limit, rel=1e-3)
+    assert fit_jointly(problem, limits, [best.start], Limits()).values[0]["limit"] == pytest.approx(
+        limit, rel=1e-3
+    )
 
 
 @pytest.mark.parametrize(("swings", "absorbed"), [(2.5, True), (40.0, False)])
@@ -477,8 +479,10 @@ def test_a_room_that_swings_by_more_than_a_loop_is_linear_over_is_followed(swing
     hypothesis = next(
         h for h in hypotheses(problem, "integrated", problem.residual) if h.key == "ambient_drift"
     )
-    line = fit_jointly(with_courses(problem, [hypothesis]), [hypothesis], [{"rate": 0.0}], iterations=3)
-    there, fit = refit_about(nominal, problem, line)
+    line = fit_jointly(
+        with_courses(problem, [hypothesis]), [hypothesis], [{"rate": 0.0}], Limits(), iterations=3
+    )
+    there, fit = refit_about(nominal, problem, line, Limits())
     assert fit.chi_square < 1.1 * there.count
     assert line.chi_square > 4.0 * there.count
     rate, bend = fit.values[0]["rate"], fit.courses["ambient_drift"]
@@ -545,7 +549,13 @@ def test_an_effect_is_as_sure_as_the_stretches_of_the_recording_agree() -> None:
     problem = _changed({"transition_kinetics": {"time_constant": 5e-5}})
     record = effects()["transition_kinetics"]
     hypothesis = Hypothesis(record, "", ({"time_constant": 3e-5},), {"time_constant": 2e-6})
-    plain = option_of(problem.nominal, problem, fit_jointly(problem, [hypothesis], hypothesis.starts), [])
+    plain = option_of(
+        problem.nominal,
+        problem,
+        fit_jointly(problem, [hypothesis], hypothesis.starts, Limits()),
+        [],
+        Limits(),
+    )
     assert sureness(plain) == pytest.approx(np.sqrt(plain.chosen.gain), rel=0.3)  # as sure as in noise
     # a misfit with the effect's own pattern, for it in one stretch and against it in the next
     pattern = trace(plain.final)
@@ -635,7 +645,7 @@ def test_a_refit_ends_where_no_small_change_fits_better() -> None:
         Hypothesis(effects()["transition_kinetics"], "", ({"time_constant": 1e-3},), {"time_constant": 2e-4}),
         Hypothesis(effects()["nonlinear_heat_loss"], "", ({"share": 0.02},), {"share": 0.005}),
     ]
-    found = fit_jointly(problem, both, [h.starts[0] for h in both])
+    found = fit_jointly(problem, both, [h.starts[0] for h in both], Limits())
     assert found.values[0]["time_constant"] == pytest.approx(4e-3, rel=0.05)
 
     def q(values) -> float:
@@ -658,8 +668,8 @@ def test_a_bound_stops_one_effect_and_not_the_other() -> None:
         Hypothesis(effects()["nonlinear_heat_loss"], "", ({"share": 0.02},), {"share": 0.005}),
         Hypothesis(effects()["transition_kinetics"], "", ({"time_constant": 1e-3},), {"time_constant": 2e-4}),
     ]
-    found = fit_jointly(problem, both, [h.starts[0] for h in both])
-    alone = fit_jointly(problem, both[1:], [both[1].starts[0]])
+    found = fit_jointly(problem, both, [h.starts[0] for h in both], Limits())
+    alone = fit_jointly(problem, both[1:], [both[1].starts[0]], Limits())
     assert found.values[0]["share"] == 0.0
     assert found.values[1]["time_constant"] == pytest.approx(alone.values[0]["time_constant"], rel=0.02)
 
@@ -722,7 +732,7 @@ def test_a_branch_is_told_by_its_energy_per_sample() -> None:
         (np.where(rate > 0, 1.0, 0.3), "heating"),
         (np.where(rate > 0, 0.3, 1.0), "cooling"),  # less energy while cooling than while heating, all in all
     ):
-        found = locate(problem, breakdown(problem, change * counts, floor=0.0))
+        found = locate(problem, breakdown(problem, change * counts, floor=0.0), Limits())
         assert found[0].branch == place
 
 
@@ -766,13 +776,17 @@ def test_rounding_without_noise_is_a_staircase() -> None:
 
 def test_a_rest_is_covered_and_the_way_from_it_is_not() -> None:
     temperature = np.array([22.0, 22.0, 40.0, 60.5, 60.5])
-    count = np.array([60.0, 3.0, 200.0, 50.0])
+    count = np.array([600.0, 3.0, 2000.0, 500.0])
     digest = CalibrationDigest(temperature, count, np.zeros(4), np.zeros(4))
     found = coverage(replace(_model(), digest=digest))
     assert found.holds(np.array([10.0, 22.0, 22.9, 30.0, 41.0, 60.9, 61.1])).tolist() == [
         *(False, True, True, False, True, True, False)
     ]
     assert str(found) == "22 to 23, 40 to 61 degC"
+    few = replace(digest, count=np.array([20.0, 1.0, 60.0, 20.0]))  # no kelvin has eight: bins of 12 K
+    found = coverage(replace(_model(), digest=few))
+    assert found.holds(np.array([22.0, 30.0, 40.0, 60.0])).tolist() == [True, True, True, True]
+    assert not coverage(replace(_model(), digest=replace(few, count=few.count / 16))).enough.all()
     everywhere = coverage(_model())
     assert isinstance(everywhere, Coverage) and everywhere.holds(np.array([-300.0, 1e4])).all()
 
@@ -885,6 +899,8 @@ def test_what_another_channel_shows_does_not_speak_against_an_effect_of_one_sens
     hypothesis = Hypothesis(
         effects()["sensor_lag"], TIP_DEFLECTION, (lag,), {"time_constant": 1e-4, "sampled": 1.0}
     )
-    option = option_of(nominal, problem, fit_jointly(problem, [hypothesis], hypothesis.starts), [])
+    option = option_of(
+        nominal, problem, fit_jointly(problem, [hypothesis], hypothesis.starts, Limits()), [], Limits()
+    )
     assert option.remaining > 1.5 and reached(option) == {TIP_DEFLECTION}
     assert adequacy_of(option, Limits()).left < 0.1

@@ -130,6 +130,6 @@ def test_of_recordings_whose_room_has_hardly_moved_none_is_told_but_the_surest()
     ("now", "times"), [(10.01, "10"), (0.0999, "0.1"), (1000.0, "1000"), (1.001, ""), (9.5, ""), (-10.0, "")]
 )
 def test_a_gain_of_another_power_of_ten_is_told_as_a_unit(now, times):
-    told = _powers_of_ten([MovedConstant("deflection.gain", 1.0, now, 0.01, "1")])
+    told = _powers_of_ten([MovedConstant("deflection.gain", 1.0, now, 0.01, "1")], Limits())
     assert bool(told) == bool(times)
     assert not times or f"is {times} times what it was: check the unit" in told[0]

@@ -123,6 +123,7 @@ def test_what_is_far_from_the_model_as_it_is_does_not_agree_though_constants_and
     ("excess", "channel", "left_out", "own", "why"),
     [
         (0.1, 0.2, 0.0, 9.0, "no more than an unchanged device shows"),
+        (0.1, 0.2, 0.0, 1.5, "1.5 times the error of the fit on held-out parts of its calibration, as repeats may be"),
         (0.6, 0.6, 0.0, 1.5, "1.5 times the error of the fit on held-out parts of its calibration, as repeats may be"),
         (0.6, 0.6, 0.0, 2.5, "parts of its calibration, more than most repeats, but no effect is adequate"),
         (0.6, 0.6, 0.7, 9.0, "miss of a stretch of their calibration that was left out, 70 %"),
@@ -302,9 +303,9 @@ def test_a_creep_on_top_is_found_and_what_the_law_misses_does_not_speak_against_
     problem = found.located.problem
     hypothesis = next(one for one in found.search.candidates if one.key == "creep")
     stuck = fit_jointly(
-        problem, [hypothesis], [{"share": 0.1, "time_constant": 6.0, "gain": 0.3}], iterations=0
+        problem, [hypothesis], [{"share": 0.1, "time_constant": 6.0, "gain": 0.3}], found.limits, iterations=0
     )
-    freed = either_way(problem, replace(stuck, at_bound=("creep.gain",)))
+    freed = either_way(problem, replace(stuck, at_bound=("creep.gain",)), found.limits)
     assert freed.chi_square < stuck.chi_square and not freed.at_bound and "gain" not in freed.values[0]
 
 
@@ -348,7 +349,8 @@ def test_a_gain_that_walks_is_the_sensor_s(model):
     walking = recorded(2, change=lambda y: y * np.linspace(1.0, 1.3, y.size))
     found = study([walking], model)
     problem = found.located.problem
-    shapes = fit_nonparametric_correction(problem, found.located.remaining, block_folds(problem)).shapes
+    folds = block_folds(problem)
+    shapes = fit_nonparametric_correction(problem, found.located.remaining, folds, found.limits).shapes
     assert shapes[0].group == "time and value" and shapes[0].share > 5.0 * shapes[1].share
     assert family_of_unnamed(problem, found.located.excess, shapes) == f"sensor:{TIP_DEFLECTION}"
     (effect,) = assemble_diagnosis(found).effects
@@ -360,7 +362,7 @@ def test_a_gain_that_walks_is_the_sensor_s(model):
     [(1e9, 1e3, 1e-4), pytest.param(1e-3, 1e-4, 1e4, marks=pytest.mark.slow)],
     ids=str,
 )
-def test_units_and_sizes_change_nothing(model, of_response, of_drive, of_time, monkeypatch):
+def test_units_and_sizes_change_nothing(model, of_response, of_drive, of_time):
     """Pascals or micrometres, hours or microseconds: a ripple of the same share of the range is the same one."""
 
     def rippled(y):
@@ -386,8 +388,7 @@ def test_units_and_sizes_change_nothing(model, of_response, of_drive, of_time, m
     (effect,) = (answer := assemble_diagnosis(there)).effects
     assert effect.id == "sensor_ripple" and effect.parameters["pitch"].unit == "A/m"
     # what is named is in the file, were it next to nothing of the residual
-    monkeypatch.setattr("vo2_models.diagnosis.corrected_model.WORTH", 1.0)
-    written = corrected_model(there).parameters
+    written = corrected_model(replace(there, limits=replace(there.limits, worth=1.0))).parameters
     assert any("sensor_ripple" in key for key in DeviceModel.from_parameters(written).effects)
     assert "sensor_ripple on stroke" in answer.summary
     shown = report_page(there, answer)
@@ -745,7 +746,7 @@ def test_what_goes_to_its_bound_does_not_take_the_place_of_what_can_be_named(
     found = lagging
     singles = [one for one in found.search.singles if not one.at_bound][:2]
 
-    def fitted(nominal, problem, best, rivals, tick):
+    def fitted(nominal, problem, best, rivals, limits, tick):
         place = singles.index(best)
         ends, gain = ((), 0.5 * best.gain) if place == 0 else (at_bound, best.gain)
         chosen = replace(best, gain=gain, at_bound=ends, chi_square=problem.residual_chi_square - gain)

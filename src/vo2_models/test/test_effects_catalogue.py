@@ -436,6 +436,13 @@ def test_heat_that_diffuses_arrives_behind_the_body_with_the_root_of_the_time():
     assert np.max(np.abs(late - expected)[5:]) < 0.01 * share * body[-1]
 
 
+def test_the_tutorial_shows_the_file_of_heat_in_the_substrate_as_it_is():
+    text = Path(effect("substrate_diffusion").file).read_text(encoding="utf-8")
+    page = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "add_an_effect.md"
+    assert f"```text\n{text}```\n" in page.read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 80
+
+
 def test_logarithmic_creep_gives_the_same_in_every_decade():
     base, run = _pair(
         "log_creep", "integrated", np.r_[np.zeros(10), np.full(20000, 4.5e-3)], rate=0.01, onset=2e-3

@@ -91,6 +91,21 @@ def test_the_skeleton_is_not_written_over_anything(tmp_path, capsys):
         (("def advance(", "def moves("), "found states but no hook advance"),
         (('"1", "part of', '"", "part of'), "parameter share: found no unit"),
         (("-0.5, 0.5", "0.5, -0.5"), "parameter share: found bounds 0.5 to -0.5"),
+        (
+            ('arrives late", -0.5, 0.5', 'arrives late"'),
+            "parameter share: found no lower and upper bound, need what is physically possible, in 1",
+        ),
+        (
+            ('arrives late", -0.5, 0.5', 'arrives late", -0.5'),
+            "parameter share: found no lower and upper bound",
+        ),
+        (
+            (
+                'share", 0, "1", "part of the steady temperature rise that arrives late", -0.5, 0.5',
+                'share", 0',
+            ),
+            "parameter share: found no unit, need an SI unit text",
+        ),
         (("def body(late, share)", "def body(late, share, wind)"), "hook body: found the argument 'wind'"),
         (('stage="thermal"', 'stage="weather"'), "stage: found 'weather'"),
         (('needs=("body",)', 'needs=("luck",)'), "needs: found 'luck'"),

@@ -52,15 +52,6 @@ def test_at_rate_takes_the_time_the_rate_says():
     assert np.max(np.abs(np.diff(play.sample(0.01)))) == pytest.approx(0.005)
 
 
-def test_dictionary_round_trip_and_missing_key():
-    play = Excitation.at_rate([0.0, 2.0, 1.0], rate_per_s=0.5, name="loop")
-    again = Excitation.from_dict(play.to_dict())
-    assert again.segments == (("loop", 0, 3),)
-    assert np.array_equal(again.sample(0.1), play.sample(0.1))
-    with pytest.raises(ValueError, match=r"found no hold_s, need levels"):
-        Excitation.from_dict({"levels": [0.0], "ramp_s": [1.0]})
-
-
 def test_chirp_sweeps_the_stated_band():
     wave = chirp(1.0, 0.5, (2.0, 40.0), 4.0, 1e-3)
     assert wave.size == 4000 and wave.max() <= 1.5 and wave.min() >= 0.5

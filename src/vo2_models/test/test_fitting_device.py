@@ -1,14 +1,20 @@
 """The whole fit on simulated devices it shares no hysteresis law with, judged on a sequence it has not seen."""
 
+import threading
+
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 from vo2_models.device import preset, truth
+from vo2_models.diagnosis.noise import level_from_differences
+from vo2_models.identification.completion import noise_of_recordings
 from vo2_models.identification.device_fit import fit_device
 from vo2_models.identification.excitation import damped_oscillation, random_levels
 from vo2_models.identification.grid import on_grid
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.identification.problem import Problem
+from vo2_models.numerics import parallel
+from vo2_models.prediction import predict
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION, Recording
 
 
@@ -160,7 +166,7 @@ def test_problem_finds_an_effect_of_the_ground_truth(name, calibrated):
         assert float(model.effects[name][parameter]) == pytest.approx(value, rel=tolerance)
 
 
-def test_problem_is_flat_at_the_neutral_value_and_columns_are_exact(calibrated):
+def test_problem_is_flat_at_the_neutral_value_and_columns_are_exact(calibrated, monkeypatch):
     """The forced feedback steps change nothing when every effect is neutral, and threads do not mix columns."""
     run = truth("integrated", seed=6).simulate(
         np.repeat(random_levels(3.68e-3, 8.49e-3, 60, seed=2), 10), seed=5
@@ -173,9 +179,18 @@ def test_problem_is_flat_at_the_neutral_value_and_columns_are_exact(calibrated):
         ["thermal.time_constant", "driver.dead_time", "deflection", "effects.latent_heat.latent"],
     )
     assert np.allclose(plain.residual(plain.start), many.residual(many.start), atol=1e-3)
-    one = Problem(calibrated, [grid], many.free, threads=1)
-    assert np.array_equal(many.jacobian(many.start), one.jacobian(one.start))
+    places = set()
+
+    class Watched(Problem):
+        def residual(self, theta):
+            places.add(threading.current_thread())
+            return super().residual(theta)
+
+    monkeypatch.setattr(parallel, "CORES", 2)
     jacobian = many.jacobian(many.start)
+    parallel.use_cores(1)
+    assert np.array_equal(Watched(calibrated, [grid], many.free).jacobian(many.start), jacobian)
+    assert places == {threading.current_thread()}  # the one core that the process may take
     assert jacobian.shape == (2 * len(run), many.start.size)
     # the deflection bank reaches the deflection alone
     half = len(run)
@@ -224,3 +239,53 @@ def test_a_stage_tells_that_a_recording_began_at_rest_at_its_first_current():
     assert warm.model.sensors[STAGE_TEMPERATURE].residual < 1.5 * noise
     cold = fit_device([device.simulate(drive, seed=1)], "peltier")
     assert not cold.settled and cold.model.sensors[STAGE_TEMPERATURE].residual < 1.5 * noise
+
+
+def test_transients_that_the_loops_hide_are_not_called_missing():
+    device = truth("integrated", seed=6)
+    current = np.repeat(random_levels(*preset("integrated").operating_range, 30, seed=3), 10)
+    clean = device.simulate(current, seed=1)
+    wander = np.repeat(np.random.default_rng(3).standard_normal(3), 100)
+    channels = dict(clean.channels)
+    channels[RESISTANCE] = channels[RESISTANCE] * 10.0**wander
+    channels[TIP_DEFLECTION] = channels[TIP_DEFLECTION] + 40e-6 * wander
+    (note,) = fit_device([Recording(clean.time_s, channels, "integrated")], "integrated").notes
+    assert note.startswith("the recording has transients, but what the loops leave over hides the lag")
+    slow = device.simulate(np.repeat(damped_oscillation(np.linspace(3.68e-3, 8.49e-3, 8)), 20), dt=0.04)
+    (note,) = fit_device([slow], "integrated").notes
+    assert note.startswith("no transients in the recording")
+
+
+@pytest.mark.parametrize("seed", [6, 7])
+def test_bounds_are_wider_where_a_loop_is_steep_and_hold_on_drives_that_the_fit_has_not_seen(seed):
+    device = truth("integrated", seed=seed)
+    calibration = np.concatenate([_calibration("integrated"), _unseen("integrated")])
+    result, _ = fit_model([device.simulate(calibration, seed=1)], "integrated", self_sensing=False)
+    sensor = result.model.sensors[TIP_DEFLECTION]
+    assert sensor.misfit > 0.9 * sensor.residual
+    low, high = preset("integrated").operating_range
+    levels = np.repeat(random_levels(low, high, 200, seed=5), 20)
+    small = np.repeat(random_levels(0.65 * high + 0.35 * low, 0.75 * high + 0.25 * low, 100, seed=5), 20)
+    for drive, least in ((levels, 0.93), (np.concatenate([[low, high], small]), 0.7)):
+        found = predict(result.model, device.simulate(drive, seed=9))
+        for role, channel in found.channels.items():
+            size = (
+                np.log10(channel.upper / channel.lower) / 2
+                if role == RESISTANCE
+                else (channel.upper - channel.lower) / 2
+            )
+            kept = result.model.sensors[role]
+            noise = kept.noise / np.log(10.0) if role == RESISTANCE else kept.noise
+            assert channel.inside > least
+            assert size.min() > 1.95 * noise and size.max() > 1.3 * size.min()
+
+
+def test_noise_is_taken_where_a_response_moves_least():
+    rng = np.random.default_rng(8)
+    phase = np.linspace(0.0, 12.0 * np.pi, 300)
+    y = 1e-3 * np.tanh(3.0 * np.sin(phase)) + 4e-6 * rng.standard_normal(300)
+    known = Recording(np.arange(300.0), {TIP_DEFLECTION: y}, "")
+    assert noise_of_recordings([known], TIP_DEFLECTION) == pytest.approx(4e-6, rel=0.25)
+    assert level_from_differences(y) > 8e-6
+    steps = Recording(np.arange(300.0), {TIP_DEFLECTION: 1e-5 * np.round(y / 1e-5)}, "")
+    assert noise_of_recordings([steps], TIP_DEFLECTION) == level_from_differences(steps[TIP_DEFLECTION])

@@ -3,6 +3,8 @@
 import subprocess
 import sys
 import warnings
+from pkgutil import iter_modules
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -17,10 +19,24 @@ def test_every_name_is_there(name):
 
 
 def test_importing_loads_neither_arrays_nor_the_compiler():
-    heavy = ("numpy", "scipy", "numba", "yaml", "importlib.metadata")
+    heavy = ("numpy", "scipy", "numba", "yaml", "importlib.metadata", "pkgutil", "inspect", "ast", "tokenize")
     code = f"import sys, vo2_models; print([name for name in {heavy} if name in sys.modules])"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    # without site, whose path files load what they like
+    code = f"import sys; sys.path[:] = {sys.path!r}; {code}"
+    found = subprocess.run([sys.executable, "-S", "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+def test_every_law_and_every_scheme_is_there_by_name():
+    offered = {getattr(vo2, name) for name in vo2.__all__}
+    assert set(vo2.hysteresis.LAWS.values()) <= offered
+    schemes = [name for name in vo2.self_sensing.__all__ if name.endswith("SelfSensing")]
+    assert len(schemes) > 5 and {getattr(vo2.self_sensing, name) for name in schemes} <= offered
+
+
+def test_the_modules_are_those_that_can_be_imported():
+    modules = {m.name for m in iter_modules(vo2.__path__) if not m.name.startswith("_")}
+    assert {name for name in vo2.__all__ if isinstance(getattr(vo2, name), ModuleType)} == modules
 
 
 def test_an_unknown_name_is_refused():

@@ -148,6 +148,32 @@ def test_the_inverse_gives_the_input_of_an_output(name):
         assert found.reached or name == "domains"
 
 
+@NAMES
+@pytest.mark.parametrize("limits", [(62.0, 72.0), (40.0, 66.0), (66.0, 95.0)])
+def test_the_inverse_stays_in_its_input_range_and_flags_where_it_had_to_clip(name, limits):
+    law = EXAMPLES[name]
+    inverse = law.inverse(limits)
+    memory = law.settle(limits[0])
+    rng = np.random.default_rng(3)
+    within = law.run(rng.uniform(*limits, 20), memory.copy())
+    width = np.ptp(within)
+    for wanted in np.concatenate(
+        [within, rng.permutation(np.r_[within, within + 2 * width, within - 2 * width])]
+    ):
+        ends = [law.peek(end, memory) for end in limits]
+        found = inverse.invert(wanted, memory)
+        assert limits[0] <= found.input <= limits[1]
+        assert found.output == pytest.approx(law.peek(found.input, memory), rel=1e-12)
+        if found.reached:
+            assert found.output == pytest.approx(wanted, abs=1e-6 * width)
+        elif wanted < min(ends) or wanted > max(ends):
+            assert found.input in limits
+        else:
+            assert name == "domains"  # jumps between the outputs that a finite number of domains can give
+        if wanted < min(ends) - width or wanted > max(ends) + width:
+            assert not found.reached
+
+
 def test_the_inverse_by_bisection_flags_what_it_cannot_reach():
     law = EXAMPLES["gpi"]
     inverse = LawInverse(law, (40.0, 90.0))

@@ -10,7 +10,7 @@ command that only parses its arguments does not wait for the compiler.
 ('integrated', 3)
 """
 
-from pkgutil import iter_modules
+import os
 from typing import Any
 
 from vo2_models.lazy import lazy_names
@@ -24,15 +24,33 @@ _HOME = {
     "load_model_parameters": "model_file",
     "save_model_parameters": "model_file",
     "damped_oscillation": "identification.excitation",
-    "Play": "hysteresis",
-    "CPI": "hysteresis",
-    "GPI": "hysteresis",
-    "EGPI": "hysteresis",
+    **dict.fromkeys(
+        ("Play", "PlayBank", "CPI", "GPI", "EGPI", "BoucWen", "LimitingLoop", "DomainEnsemble"), "hysteresis"
+    ),
     "PreisachOperator": "hysteresis.preisach",
     "NonMonotonicPreisach": "hysteresis.preisach",
+    "BoundedPlays": "hysteresis.laws.bounded_plays",
+    **dict.fromkeys(
+        (
+            "SelfSensing",
+            "CompositeSelfSensing",
+            "CombinedSelfSensing",
+            "DirectEGPISelfSensing",
+            "DirectPreisachSelfSensing",
+            "PolynomialSelfSensing",
+            "DynamicSelfSensing",
+        ),
+        "self_sensing",
+    ),
 }
 """Public name -> module that it comes from."""
-_MODULES = [module.name for module in iter_modules(__path__) if not module.name.startswith("_")]
+# by `os`, which Python has loaded already: pkgutil loads what reads source code, more than all of this package
+_MODULES = [
+    entry.name.removesuffix(".py")
+    for entry in os.scandir(os.path.dirname(__file__))
+    if not entry.name.startswith("_")
+    and (entry.name.endswith(".py") or os.path.exists(os.path.join(entry.path, "__init__.py")))
+]
 __all__ = sorted([*_HOME, *_MODULES])
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device.model import DeviceModel
+from vo2_models.identification.calibration_check import noise_level
 from vo2_models.identification.grid import GriddedRecording, on_grid
+from vo2_models.identification.loops_fit import SECTIONS, film_path
 from vo2_models.identification.rig_start import unknown_until
 from vo2_models.recording import (
     HEATER_CURRENT,
@@ -30,6 +32,8 @@ _NORMAL_95 = 1.959964
 _RESTAMPED = 0.25
 """Share of the squared error that a drive which acts a period earlier or later must leave to be taken as stamped so."""
 _BEGINNING = 0.1
+_PLACES, _SMOOTHED = 401, 13
+"""Places over the operating range at which a loop's slope is taken, and how many of them it is averaged over: 3 per cent."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,8 @@ class ChannelPrediction:
 
     Attributes
     ----------
-    value, lower, upper : (n,) prediction and the bounds that 95 of 100 measured samples should lie between
+    value, lower, upper : (n,) prediction and its bounds: 1.96 times the noise and what the law missed of held-out parts of
+        its calibration, more of it where the loop is steep
     measured : (n,) or None
     error : root mean square of measured minus predicted, in judged units (log10 for the film response); NaN without
     span : of what was measured, in judged units; NaN without
@@ -127,11 +132,19 @@ def predict(model: DeviceModel, recording: Recording) -> Prediction:
         best = min(shifted, key=lambda k: apart(shifted[k], 1.0))
         if apart(shifted[best], 1.0) < _RESTAMPED * apart(outputs, 1.0):
             periods, outputs = best, shifted[best]
+    path = film_path(model, [replace(grid, current=drive(periods))], settled)[1:]
     return Prediction(
         _stamps(recording, grid),
         drive(periods),
         {
-            role: _compared(model, role, outputs[role], grid.measured.get(role), drive(periods))
+            role: _compared(
+                model,
+                role,
+                outputs[role],
+                grid.measured.get(role),
+                drive(periods),
+                _NORMAL_95 * _size(model, role, path),
+            )
             for role in roles
         },
         settled,
@@ -149,12 +162,40 @@ def _stamps(recording: Recording, grid: GriddedRecording) -> Floats:
     return np.interp(instants, place, known.time_s)
 
 
-def _compared(
-    model: DeviceModel, role: str, value: Floats, measured: Floats | None, drive: Floats
-) -> ChannelPrediction:
-    """Bounds from the held-out misfit (the fit's own residual where that was not tried), which holds the noise too."""
+def _size(model: DeviceModel, role: str, path: Floats) -> Floats:
+    """One standard deviation (n,) of a sample about its prediction, in judged units.
+
+    The held-out misfit (the fit's own residual where that was not tried) is that of a whole calibration. A loop that is a
+    little out of place misses by its slope, so that a drive which stays where the loop is steep misses by more than that;
+    where it is flat, what the calibration missed is kept.
+    """
     sensor = model.sensors.get(role)
-    bound = _NORMAL_95 * (sensor.misfit or sensor.residual) if sensor else 0.0
+    if sensor is None:
+        return np.zeros(path.size)
+    noise = noise_level(role, sensor.noise)
+    wrong = float(np.sqrt(max((sensor.misfit or sensor.residual) ** 2 - noise**2, 0.0)))
+    return np.hypot(noise, wrong * np.hypot(1.0, _steepness(model, role, path)))
+
+
+def _steepness(model: DeviceModel, role: str, path: Floats) -> Floats:
+    """Slope (n,) of a response's major loop along a path, mean of both branches, over its r.m.s. over the operating range."""
+    device = model.description
+    low, high = sorted(device.steady_temperature(drive) for drive in device.operating_range)
+    # heat that a fit has found has a scale of its own
+    if role not in SECTIONS or (model.heats and not device.has_body):
+        return np.zeros(path.size)
+    there = np.linspace(low, high, _PLACES)
+    rising, falling = np.split(getattr(model, SECTIONS[role]).run(np.concatenate([there, there[::-1]])), 2)
+    slope = 0.5 * (np.abs(np.gradient(rising)) + np.abs(np.gradient(falling[::-1])))
+    beside = np.pad(slope, _SMOOTHED // 2, mode="edge")
+    slope = np.convolve(beside, np.full(_SMOOTHED, 1.0 / _SMOOTHED), "valid")
+    mean = float(np.sqrt(np.mean(slope**2)))
+    return np.interp(path, there, slope / mean) if mean else np.zeros(path.size)
+
+
+def _compared(
+    model: DeviceModel, role: str, value: Floats, measured: Floats | None, drive: Floats, bound: Floats
+) -> ChannelPrediction:
     error = span = inside = float("nan")
     unknown = 0
     if measured is not None:
@@ -164,7 +205,7 @@ def _compared(
         error, span, inside = (
             float(np.sqrt(np.mean(gap**2))),
             float(np.ptp(measured[good])),
-            float(np.mean(gap <= bound)),
+            float(np.mean(gap <= bound[good])),
         )
     ends = [_natural(role, value + sign * bound) for sign in (-1.0, 1.0)]
     return ChannelPrediction(

@@ -153,6 +153,17 @@ def test_the_plant_repeats_itself_on_the_clock_that_it_publishes_itself():
         rig.until(lambda: rig.heard["/vo2/measurement"][-1][0] == S + MS)
 
 
+def test_simulated_time_begins_where_it_is_told_to():
+    with lockstep("start_s:=1700000000.25") as rig:
+        rig.hear("/vo2/measurement", CHANNELS)
+        rig.add(PlantNode)
+        rig.until(lambda: rig.heard["/vo2/measurement"])
+        start = 1_700_000_000_250 * MS
+        assert rig.heard["/vo2/measurement"][0][0] == start
+        rig.say("/vo2/command", start, {"heater_current": 0.005})
+        rig.until(lambda: rig.heard["/vo2/measurement"][-1][0] == start + MS)
+
+
 def test_a_stopped_plant_applies_the_safe_current_from_the_next_sample_on():
     with lockstep() as rig:
         rig.hear("/vo2/measurement", CHANNELS)

@@ -62,15 +62,21 @@ PLANT_PARAMETERS = (
         "s",
         "Lockstep: simulated time stands still from this stamp on until the value is raised; 0 for never.",
         0.0,
-        1e9,
+        1e10,
+    ),
+    Parameter(
+        "start_s",
+        1.0,
+        "s",
+        "Lockstep: stamp of the first sample. By default simulated time, and with it a bag, begins in 1970.",
+        1.0,
+        2e9,
     ),
     Parameter("clock", True, "", "Lockstep: publish simulated time on /clock, at most every 10 ms of it."),
     Parameter(
         "true_channels", False, "", "Add what no rig measures: true_tip_deflection and true_temperature."
     ),
 )
-_START_NS = 1_000_000_000
-"""Stamp of the first simulated sample: zero means "no time" in ROS."""
 _CLOCK_NS = 10_000_000
 _BEAT_NS = 1_000_000_000
 _OVER_S = 3.0
@@ -106,12 +112,12 @@ class PlantNode(Node):
         self._period_ns = round(self._device.period * 1e9)
         self._lockstep = self._table.text("time") == "lockstep"
         self._truth = self._table.flag("true_channels")
-        self._diagnostics = Diagnostics(self, hardware_id=preset)
+        self._diagnostics = Diagnostics(self, hardware_id=preset, wall_time=not self._lockstep)
         self._until_ns = 0
         self._odd_at: float | None = None
         self._revision = -1
         self._index = -1
-        self._start_ns = _START_NS
+        self._start_ns = round(self._table.number("start_s") * 1e6) * 1000  # a double has no more of it
         self._stamp_ns = self._start_ns
         self._command: tuple[int, float] | None = None
         point = operating_point(preset)

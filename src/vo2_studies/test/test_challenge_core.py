@@ -22,7 +22,7 @@ STEP = 1.25e-4
 
 def run(device, current, terms=None, step=STEP, **arrays):
     n = current.size
-    full = {"ambient": np.full(n, device.ambient), "local": np.zeros(n), "pull": np.zeros(n)} | arrays
+    full = {"ambient": np.full(n, device.ambient), "local": np.zeros(n), "shift": np.zeros(n)} | arrays
     return run_core(device, terms or Terms(), current=current, step=step, **full)
 
 

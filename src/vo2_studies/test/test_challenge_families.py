@@ -37,7 +37,7 @@ def track(device, temperatures, terms=None):
         current=np.zeros(n),
         ambient=np.full(n, device.ambient),
         local=temperatures - device.ambient,
-        pull=np.zeros(n),
+        shift=np.zeros(n),
         step=1e-3,
     )
     assert np.allclose(film[1:], temperatures)

@@ -134,7 +134,7 @@ def test_nonmonotonic_model_is_equation_5_7_plus_preisach():
     assert q0 + q1 * inside + q2 * inside**2 == pytest.approx(model.expansion(inside))
     state = operator.initial_memory()
     assert [model.step(t, state) for t in temperature] == pytest.approx(model(temperature).tolist())
-    linear = NonMonotonicPreisach.with_linear_term(operator, -3.0)
+    linear = NonMonotonicPreisach(operator, 3.0, 3.0, 0.0)  # mu_0 + c_d v + Preisach, (4.19)
     assert linear(temperature) == pytest.approx(operator(temperature) - 3.0 * temperature)
 
 

@@ -25,7 +25,7 @@ _SAY_S = 10.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status: 0 whatever was found, 2 on unusable input.
+    """Run the command; return its exit status: 0 whatever was found, 2 on unusable input, 130 after Ctrl-C.
 
     Parameters
     ----------

@@ -1,7 +1,8 @@
 """Serve a page of the running loop on this host: the cantilever to scale, the loop, traces, stop and release.
 
 With `model`, a file that `fit` wrote, the simulation runs beside the device, and the page marks where they differ.
-Open the printed address in a browser. The page shows what the topics carry; it commands nothing but the emergency stop.
+Open the printed address in a browser. The page shows what the topics carry; its buttons are the emergency
+stop and the transitions `activate` and `deactivate` of the node that commands.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import math
 import sys
 from collections.abc import Sequence
 
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.node import Node
 from std_msgs.msg import Bool
 from vo2_models.device.description import DeviceParameter, preset
@@ -30,6 +33,7 @@ from vo2_interface.topics import (
     EMERGENCY_STOP_QOS,
     ESTIMATE,
     MEASUREMENT,
+    OVERRIDABLE_INPUT,
     REFERENCE,
 )
 
@@ -43,9 +47,12 @@ LIVE_PARAMETERS = (
     Parameter(
         "port", 8765, "", "Port of the page on 127.0.0.1; 0 for any that is free.", 0, 65535, kind="int"
     ),
+    Parameter("commander", "controller", "", "Managed node that the page activates and deactivates."),
 )
 
 
+_LEAST_TURN = 0.05
+"""Turn that is marked in the loop, as a share of the range."""
 _MEASURED = (HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION)
 
 
@@ -75,11 +82,11 @@ class LiveNode(Node):
 
     def __init__(self) -> None:
         super().__init__("live", namespace=DEFAULT_NAMESPACE)
-        table = ParameterTable(self, LIVE_PARAMETERS, read_only=("preset", "model", "port"))
+        table = ParameterTable(self, LIVE_PARAMETERS, read_only=("preset", "model", "port", "commander"))
         device = preset(table.text("preset"))
         self._beside = _simulated(table.text("model"), device.id)
         self._diagnostics = Diagnostics(self)
-        self._frames = Frames()
+        self._frames = Frames(_LEAST_TURN * device.deflection_range)
         self._last_ns = -1
         names, units = device.names, device.units
         tip = names.get(TIP_DEFLECTION, TIP_DEFLECTION)
@@ -91,7 +98,14 @@ class LiveNode(Node):
         SampleInput(self, ESTIMATE, self._on_estimate, self._diagnostics)
         SampleInput(self, REFERENCE, self._on_reference, self._diagnostics, latched=True, steady=False)
         self._stop = self.create_publisher(Bool, EMERGENCY_STOP, EMERGENCY_STOP_QOS)
-        self.create_subscription(Bool, EMERGENCY_STOP, self._on_stop, EMERGENCY_STOP_QOS)
+        self.create_subscription(
+            Bool,
+            EMERGENCY_STOP,
+            self._on_stop,
+            EMERGENCY_STOP_QOS,
+            qos_overriding_options=OVERRIDABLE_INPUT,
+        )
+        self._commander = self.create_client(ChangeState, f"{table.text('commander')}/change_state")
         port = int(table.number("port"))
         told = {
             "id": device.id,
@@ -134,8 +148,14 @@ class LiveNode(Node):
     def _on_stop(self, message: Bool) -> None:
         self._frames.stopped = message.data
 
-    def _on_button(self, stop: bool) -> None:
-        self._stop.publish(Bool(data=stop))
+    def _on_button(self, name: str) -> bool:
+        """Do what a button says; return whether there is somebody to do it. What a transition leads to its node tells."""
+        if name in ("stop", "release"):
+            self._stop.publish(Bool(data=name == "stop"))
+            return True
+        if there := self._commander.service_is_ready():
+            self._commander.call_async(ChangeState.Request(transition=Transition(label=name)))
+        return there
 
     def close(self) -> None:
         """End the page."""

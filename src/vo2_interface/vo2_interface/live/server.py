@@ -13,8 +13,9 @@ from typing import Any
 
 from vo2_interface.live.frames import Frames
 
-__all__ = ["FRAMES_PER_S", "LiveServer"]
+__all__ = ["BUTTONS", "FRAMES_PER_S", "LiveServer"]
 
+BUTTONS = ("stop", "release", "activate", "deactivate")
 FRAMES_PER_S = 30
 _PAGE = Path(__file__).with_name("page.html")
 _HOSTS = ("127.0.0.1", "localhost")
@@ -27,7 +28,7 @@ class LiveServer:
     ----------
     frames : what the page shows
     device : what the page must know of the device, as JSON takes it
-    stop : called with True to stop the graph and False to release it
+    press : called with the name of a button, one of `BUTTONS`; returns whether there was somebody to do it
     port : 0 for any that is free
 
     Attributes
@@ -40,11 +41,11 @@ class LiveServer:
     """
 
     def __init__(
-        self, frames: Frames, device: Mapping[str, Any], stop: Callable[[bool], None], port: int
+        self, frames: Frames, device: Mapping[str, Any], press: Callable[[str], bool], port: int
     ) -> None:
         self._closing = threading.Event()
         self._server = ThreadingHTTPServer(
-            ("127.0.0.1", port), _handler(frames, dict(device), stop, self._closing)
+            ("127.0.0.1", port), _handler(frames, dict(device), press, self._closing)
         )
         self._server.daemon_threads = True
         self.port = int(self._server.server_address[1])
@@ -58,7 +59,7 @@ class LiveServer:
 
 
 def _handler(
-    frames: Frames, device: dict[str, Any], stop: Callable[[bool], None], closing: threading.Event
+    frames: Frames, device: dict[str, Any], press: Callable[[str], bool], closing: threading.Event
 ) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
@@ -77,9 +78,10 @@ def _handler(
             # a page of another origin cannot set this header without being asked first, and we never allow it
             if not self._is_from_here() or self.headers.get("X-VO2-Live") != "1":
                 return self.send_error(HTTPStatus.FORBIDDEN)
-            if self.path not in ("/stop", "/release"):
+            if self.path[1:] not in BUTTONS:
                 return self.send_error(HTTPStatus.NOT_FOUND)
-            stop(self.path == "/stop")
+            if not press(self.path[1:]):
+                return self.send_error(HTTPStatus.SERVICE_UNAVAILABLE)
             self._send("text/plain", b"done")
 
         def _is_from_here(self) -> bool:

@@ -17,14 +17,14 @@ from vo2_models.device.coefficients import Sensor as N
 from vo2_models.device.core import (
     ENSEMBLE,
     advance,
-    follow,
     initial_transitions,
     inner,
     keep_reversible,
     output_share,
     own_heat,
     seen_temperature,
-    warm,
+    step_temperature,
+    step_transitions,
 )
 from vo2_models.device.laws import polynomial, truth_deflection, truth_resistance
 from vo2_models.device.state import CURRENT_LINE
@@ -147,10 +147,10 @@ def run_chain(
                 h = (period - part) / parts
                 start = time - period + part - parts * h
             if lazy:
-                seen = warm(c, x, current_in, h, start + j * h)
+                seen = step_temperature(c, x, current_in, h, start + j * h)
                 # on its way up or down the film passes what it need not be asked about; a turn it remembers
                 if (before - play_r[0]) * (seen - before) < 0.0:
-                    follow(c, x, before, packed_r, packed_d, play_r, play_d)
+                    step_transitions(c, x, before, packed_r, packed_d, play_r, play_d)
                 before = seen
                 continue
             advance(
@@ -159,7 +159,7 @@ def run_chain(
             if c[_RESISTANCE] != 0.0:
                 x[S.RESISTANCE] = _film_resistance(kind, c, x, poly_r)
         if lazy:
-            follow(c, x, before, packed_r, packed_d, play_r, play_d)
+            step_transitions(c, x, before, packed_r, packed_d, play_r, play_d)
         film = _film_resistance(kind, c, x, poly_r)
         x[S.RESISTANCE] = film
         tip = generated.structure(c, x, _film_deflection(kind, c, x, poly_d), period)

@@ -30,13 +30,13 @@ __all__ = [
     "ENSEMBLE",
     "PLAYS",
     "advance",
-    "follow",
     "initial_transitions",
     "keep_reversible",
     "output_share",
     "own_heat",
     "seen_temperature",
-    "warm",
+    "step_temperature",
+    "step_transitions",
 ]
 
 PLAYS, ENSEMBLE = 0, 1
@@ -296,19 +296,19 @@ def _solve_latent(
 
 
 @inside
-def _bring(c, x, fast, background, film_extra, h):
+def _update_film(c, x, fast, background, film_extra, h):
     """Bring the film to where the thermal model is at `fast`; return what the transitions see of it [degC]."""
     x[S.FAST] = fast
     if c[_SHIFTED] == 0.0:
         x[S.STAGE] = fast
         x[S.FILM] = fast
         return fast
-    return _bring_with_effects(c, x, fast, background, film_extra, h)
+    return _update_film_with_effects(c, x, fast, background, film_extra, h)
 
 
 @inside
-def _bring_with_effects(c, x, fast, background, film_extra, h):
-    """As `_bring`, with what effects add."""
+def _update_film_with_effects(c, x, fast, background, film_extra, h):
+    """As `_update_film`, with what effects add."""
     slope, rest = _body(c, x)
     x[S.STAGE] = fast + slope * (fast - background) + rest
     film = x[S.STAGE] + film_extra
@@ -318,15 +318,15 @@ def _bring_with_effects(c, x, fast, background, film_extra, h):
 
 
 @inner
-def warm(c, x, current, h, time):
+def step_temperature(c, x, current, h, time):
     """Advance the temperature alone by h [s]; return what the transitions see of it [degC]. Where `FOLLOWS` is set."""
     background = _background(c, x, time)
     fast = x[S.FAST] + _heat(c, x, current, h, time, background)
-    return _bring(c, x, fast, background, generated.film(c, x, x[S.RESISTANCE], time), h)
+    return _update_film(c, x, fast, background, generated.film(c, x, x[S.RESISTANCE], time), h)
 
 
 @inner
-def follow(c, x, effective, packed_r, packed_d, play_r, play_d):
+def step_transitions(c, x, effective, packed_r, packed_d, play_r, play_d):
     """Bring the transitions to an input [degC]. Where `FOLLOWS` is set."""
     there = effective + generated.structural_shift(c, x)
     x[S.RAW_R] = move(effective, packed_r, play_r, True)
@@ -358,7 +358,7 @@ def advance(kind, c, x, current, h, time, packed_r, packed_d, play_r, play_d, le
             kind, lead, latent, c, x, heat, 1.0 + slope, rest, packed_r, packed_d, play_r, play_d, levels, domains,
             metallic,
         )  # fmt: skip
-    effective = _bring(c, x, fast, background, film_extra, h)
+    effective = _update_film(c, x, fast, background, film_extra, h)
     # --- transitions
     effective_d = effective
     if c[_FEEDBACK] != 0.0:

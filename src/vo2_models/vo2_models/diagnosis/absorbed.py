@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from vo2_models.diagnosis.hypotheses import Hypothesis
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.problem import LinearisedProblem
 
 __all__ = ["without_absorbed"]
 
-ABSORBED = 0.005
-"""Share of what a magnitude changes, in energy, up to which the refitted device is taken to stand for all of it: an
-equation that is 7 % off leaves as much."""
 
-
-def without_absorbed(problem: LinearisedProblem, hypothesis: Hypothesis) -> Hypothesis:
+def without_absorbed(problem: LinearisedProblem, hypothesis: Hypothesis, limits: Limits) -> Hypothesis:
     """Return the hypothesis without those magnitudes beside its first that the refitted nominal device takes up.
 
     The steady gain that comes with a late part, for instance, is the height of a loop that is fitted anew: left free it
@@ -24,6 +21,7 @@ def without_absorbed(problem: LinearisedProblem, hypothesis: Hypothesis) -> Hypo
     ----------
     problem : with the nominal device fitted anew
     hypothesis : as `hypotheses` made it
+    limits : with what counts as all of it
     """
     names = hypothesis.magnitudes[1:]
     start = dict(hypothesis.starts[0])
@@ -34,7 +32,7 @@ def without_absorbed(problem: LinearisedProblem, hypothesis: Hypothesis) -> Hypo
         with_it, without = ({**start, name: value} for value in (size, 0.0))
         columns = problem.deviations([hypothesis.effects(with_it), hypothesis.effects(without)])
         change = columns[0] - columns[1]
-        if problem.chi_square(change) <= ABSORBED * float(change @ change):
+        if problem.chi_square(change) <= limits.absorbed * float(change @ change):
             gone.append(name)
     if not gone:
         return hypothesis

@@ -19,11 +19,12 @@ from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.pairs import Option, trace
 from vo2_models.diagnosis.problem import LinearisedProblem, at_sensor
 from vo2_models.diagnosis.propagate_correction import as_sensed
-from vo2_models.recording import RESISTANCE
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE
 
 __all__ = [
     "Adequacy",
     "adequacy_of",
+    "behind_the_loop",
     "ends_flat",
     "over_misfit",
     "reached",
@@ -33,8 +34,6 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
-FLAT = 20
-"""Samples beyond a limit from which it is asked whether they are flat."""
 QUARTILE = 0.6745
 """Median of the size of a normal deviate."""
 CONCENTRATED = 4
@@ -73,13 +72,14 @@ class Adequacy:
         return limits.probability_of_something_else(self.sigmas, self.left)
 
 
-def adequacy_of(option: Option, limits: Limits) -> Adequacy:
+def adequacy_of(option: Option, limits: Limits, *, most: float = np.inf) -> Adequacy:
     """Judge how surely an option acts and what it leaves over.
 
     Parameters
     ----------
     option : the explanation with the problem about it
     limits : with what an equation leaves
+    most : gain in chi-square of which a share may be left: in the place of moved constants, what it gains over them
 
     Returns
     -------
@@ -92,7 +92,7 @@ def adequacy_of(option: Option, limits: Limits) -> Adequacy:
     beside, others = _left_in(option.final, residual, inside)
     outside = set(option.final.count_by_channel) - inside
     elsewhere = max((_left_in(option.final, residual, {channel})[0] for channel in outside), default=0.0)
-    left = max(beside - limits.equation * gain / others, 0.0)
+    left = max(beside - limits.equation * min(gain, most) / others, 0.0)
     # what this device's law misses of its own calibration is no sign of something else
     beyond, judged = _beyond_misfit(option, limits)
     told = judged.final.count / option.final.count
@@ -143,7 +143,7 @@ def ends_flat(option: Option, limits: Limits) -> bool:
             at_end = simulated > end - noise if above else simulated < end + noise
             beyond = at_end & (problem.weight[row.where] > 0)
             off = (part.observed[row.channel] - end)[beyond]
-            if off.size >= FLAT:
+            if off.size >= limits.flat_samples:
                 # noise that has grown since the calibration goes up and down from sample to sample, misfit does not
                 by_steps = float(np.median(np.abs(np.diff(off)))) / np.sqrt(2.0)
                 if np.median(np.abs(off)) > limits.flat * max(QUARTILE * noise, by_steps):
@@ -173,6 +173,20 @@ def over_misfit(problem: LinearisedProblem, residual: Floats) -> dict[str, float
     channel -> r.m.s. distance over r.m.s. error; empty where that error is not known
     """
     return {channel: _rms(values) for channel, values in _in_misfits(problem, residual).items()}
+
+
+def behind_the_loop(problem: LinearisedProblem, gain: float) -> float:
+    """Return what of a gain in chi-square may lie in channels behind the loop.
+
+    What the logged drive and a thermometer show, they show on one loop as well as on many.
+
+    Parameters
+    ----------
+    problem : without effects
+    gain : of an explanation
+    """
+    energy = problem.energy_by_channel(problem.residual, problem.apply_inverse_covariance(problem.residual))
+    return max(gain - sum(max(energy.get(c, 0.0), 0.0) for c in (HEATER_CURRENT, STAGE_TEMPERATURE)), 0.0)
 
 
 def where_told(problem: LinearisedProblem, residual: Floats, share: float) -> NDArray[np.bool_]:

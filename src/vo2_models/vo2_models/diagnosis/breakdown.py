@@ -12,6 +12,7 @@ from scipy.signal import welch
 
 from vo2_models.device import surrogate_of_temperature
 from vo2_models.device.description import DeviceDescription
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.result import Location
 from vo2_models.numerics.kernel import kernel
@@ -19,16 +20,14 @@ from vo2_models.numerics.kernel import kernel
 __all__ = ["Breakdown", "branch_words", "breakdown", "locate", "one_loop", "turning_points"]
 
 Floats = NDArray[np.float64]
+DEPTH = 64
+"""Turning points that are remembered; beyond, the oldest inner loop is forgotten."""
+ROUNDING = 1e-9
+"""Relative distance of two edges that are one."""
 BLOCKS = 40
 """Pieces of a recording in which the energy over time is told."""
 MOVES = 0.02
 """Rate of temperature, of that of the fastest twentieth, below which a sample is at rest: settling is no branch."""
-CROSSES, APART = 0.5, 0.05
-"""Shares of the range of temperatures: what counts as crossing it, and turning points that are two."""
-LEVELS, RATES = 5, 3.0
-"""From so many turning temperatures, or so many times the slowest crossing's rate, on it is more than one loop."""
-ONE_BRANCH = 4.0
-"""So many times the energy per sample of the other branch must one have to be the place."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +111,7 @@ def breakdown(problem: LinearisedProblem, residual: Floats, *, floor: float = 1.
         if spectrum is None:
             raise ValueError(f"{channel}: found no samples, need some")
         joined = {k: np.concatenate(v) for k, v in pieces.items()}
-        energy = joined["energy"]
+        energy, order = joined["energy"], np.minimum(joined["order"], 4)
         total = float(np.sum(energy))
         scale = total / max(float(np.sum(spectrum)), 1e-300)
         axes: dict[str, tuple[Sequence[float] | Sequence[str], Floats]] = {
@@ -125,7 +124,7 @@ def breakdown(problem: LinearisedProblem, residual: Floats, *, floor: float = 1.
             ),
             "reversals": (
                 ("major", "1", "2", "3", "4 and more"),
-                np.array([np.sum(energy[np.minimum(joined["order"], 4) == k]) for k in range(5)]),
+                np.array([np.sum(energy[order == k]) for k in range(5)]),
             ),
             "frequency": (frequencies.tolist(), spectrum * max(scale, 0.0)),
         }
@@ -144,36 +143,38 @@ def _history(temperature: Floats) -> tuple[NDArray[np.int64], Floats, NDArray[np
     """Direction (+1, -1, 0 at rest), distance from the last turning point [K], and open reversals, per sample."""
     last, _, order = _turns(np.ascontiguousarray(temperature), 1e-3 * max(float(np.ptp(temperature)), 1e-9))
     rate = np.gradient(temperature)
-    moves = np.abs(rate) > MOVES * np.quantile(np.abs(rate), 0.95)
+    fastest = np.quantile(np.abs(rate), 0.95)
+    moves = np.abs(rate) > MOVES * fastest
     return np.where(moves, np.sign(rate), 0.0).astype(np.int64), np.abs(temperature - last), order
 
 
-def one_loop(paths: Sequence[Floats], periods: Sequence[float]) -> bool:
+def one_loop(paths: Sequence[Floats], periods: Sequence[float], limits: Limits) -> bool:
     """Return whether these paths of the film are one and the same loop.
 
-    They are where they turn at fewer than `LEVELS` temperatures and no crossing of the range is `RATES` times as fast as
+    They are where they turn at fewer than `levels` temperatures and no crossing of the range is `rates` times as fast as
     another: there is one history then, and an error in the loop's shape, a lag and a drift can hardly be told apart.
 
     Parameters
     ----------
     paths : temperatures (n,) of each recording [degC]
     periods : their sample periods [s]
+    limits : `crosses`, `turns_apart`, `levels` and `rates`
     """
     low, high = (float(end(np.concatenate(paths))) for end in (np.min, np.max))
-    span = max(high - low, 1e-9)
+    span, middle = max(high - low, 1e-9), 0.5 * (low + high)
     turns: list[float] = []
     rates: list[float] = []
     for path, period in zip(paths, periods, strict=True):
         last = turning_points(path)[0]
         rate = np.abs(np.gradient(path)) / period
-        inside = np.abs(path - 0.5 * (low + high)) < 0.5 * CROSSES * span
+        inside = 2.0 * np.abs(path - middle) < limits.crosses * span
         for piece in np.split(np.arange(path.size), np.flatnonzero(np.diff(last)) + 1):
             level = float(last[piece[0]])
-            if all(abs(level - other) > APART * span for other in turns):
+            if all(abs(level - other) > limits.turns_apart * span for other in turns):
                 turns.append(level)
-            if np.ptp(path[piece]) > CROSSES * span and np.any(inside[piece]):
+            if np.ptp(path[piece]) > limits.crosses * span and np.any(inside[piece]):
                 rates.append(float(np.median(rate[piece][inside[piece]])))
-    return len(turns) < LEVELS and max(rates, default=0.0) <= RATES * min(rates, default=0.0)
+    return len(turns) < limits.levels and max(rates, default=0.0) <= limits.rates * min(rates, default=0.0)
 
 
 def turning_points(temperature: Floats) -> tuple[Floats, Floats]:
@@ -193,7 +194,7 @@ def _turns(temperature, dead):
     last = np.empty(n)
     before = np.empty(n)
     order = np.zeros(n, np.int64)
-    turns = np.empty(64)
+    turns = np.empty(DEPTH)
     turns[0] = temperature[0]
     depth = 1
     extreme = temperature[0]
@@ -206,11 +207,11 @@ def _turns(temperature, dead):
                 extreme = x
         elif (x - extreme) * going > 0:
             extreme = x
-            while depth >= 3 and (x - turns[depth - 2]) * going >= 0:
+            while depth > 2 and (x - turns[depth - 2]) * going >= 0:
                 depth -= 2
         elif (extreme - x) * going > dead:
-            if depth == 64:
-                turns[1:62] = turns[3:64]
+            if depth == DEPTH:
+                turns[1 : DEPTH - 2] = turns[3:DEPTH]
                 depth -= 2
             turns[depth] = extreme
             depth += 1
@@ -222,13 +223,14 @@ def _turns(temperature, dead):
     return last, before, order
 
 
-def locate(problem: LinearisedProblem, parts: Sequence[Breakdown]) -> list[Location]:
+def locate(problem: LinearisedProblem, parts: Sequence[Breakdown], limits: Limits) -> list[Location]:
     """Summarise a breakdown per channel, most excess first; return shares that add up to one over the channels with an excess.
 
     Parameters
     ----------
     problem : of the recordings
     parts : as `breakdown` returns them
+    limits : when one branch is the place
     """
     positive = [b for b in parts if b.excess > 0]
     total = sum(b.excess for b in positive)
@@ -243,7 +245,9 @@ def locate(problem: LinearisedProblem, parts: Sequence[Breakdown]) -> list[Locat
                 signal=b.channel,
                 share=float(b.excess / total),
                 time_s=time,
-                branch=_branch(*np.maximum(b.axes["branch"][1][:2], 0.0) / np.maximum(b.moving, 1)),
+                branch=_branch(
+                    limits.one_branch, *np.maximum(b.axes["branch"][1][:2], 0.0) / np.maximum(b.moving, 1)
+                ),
                 temperature_degC=[low, high],
                 temperature_surrogate_a=[float(v) for v in surrogate],
                 frequency_hz=list(frequency),
@@ -252,11 +256,11 @@ def locate(problem: LinearisedProblem, parts: Sequence[Breakdown]) -> list[Locat
     return found
 
 
-def _branch(heating: float, cooling: float) -> Literal["heating", "cooling", "both"]:
+def _branch(least: float, heating: float, cooling: float) -> Literal["heating", "cooling", "both"]:
     """Which branch is the place, by its energy per sample: how long each of them took says nothing."""
-    if heating > ONE_BRANCH * cooling:
+    if heating > least * cooling:
         return "heating"
-    return "cooling" if cooling > ONE_BRANCH * heating else "both"
+    return "cooling" if cooling > least * heating else "both"
 
 
 def _spans(edges: Sequence[float], energy: Floats) -> list[list[float]]:
@@ -268,7 +272,7 @@ def _spans(edges: Sequence[float], energy: Floats) -> list[list[float]]:
     chosen = np.sort(order[:needed])
     spans: list[list[float]] = []
     for k in chosen:
-        if spans and abs(spans[-1][1] - edges[k]) < 1e-9 * max(abs(edges[-1]), 1.0):
+        if spans and abs(spans[-1][1] - edges[k]) < ROUNDING * max(abs(edges[-1]), 1.0):
             spans[-1][1] = float(edges[k + 1])
         else:
             spans.append([float(edges[k]), float(edges[k + 1])])

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device import PRESETS, preset
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.noise import level_from_differences
 from vo2_models.diagnosis.nominal import Nominal, judged
 from vo2_models.effects.adc_quantization import value_step
@@ -27,21 +28,9 @@ from vo2_models.recording import (
 )
 from vo2_models.units import stamp_in_words
 
-__all__ = ["SHORTEST", "Finding", "Unusable", "check_recording"]
+__all__ = ["Finding", "Unusable", "check_recording"]
 
 Floats = NDArray[np.float64]
-COPIED = 1e-6
-"""Relative spread of the ratio of two channels up to which one is a copy of the other: rounding."""
-FAR = 100.0
-"""Factor between the largest value of a channel and that of the device, either way, within which it can be this one."""
-SHORTEST, FEW = 50, 500
-"""Fewest samples of a recording that can be judged, and those below which it is said what so few cannot tell."""
-UNSTEADY = 0.5
-"""The same, from which stamps are no clock: half of them are that far from any period."""
-STILL = 0.9
-"""Noise from differences, as a share of the spread, from which there is nothing else: of white noise it is 1."""
-SMALL_PART = 0.1
-"""Share of a channel's range below which that is so; a drive that jumps at every sample makes more of it look white."""
 
 
 class Unusable(ValueError):
@@ -64,13 +53,16 @@ class Finding:
     leaves_out: str = ""
 
 
-def check_recording(recording: Recording, nominal: Nominal, *, name: str = "recording") -> list[Finding]:
+def check_recording(
+    recording: Recording, nominal: Nominal, limits: Limits, *, name: str = "recording"
+) -> list[Finding]:
     """Return what limits a diagnosis with this recording.
 
     Parameters
     ----------
     recording : as it was read
     nominal : simulation of the device that it should be of
+    limits : of what can be judged
     name : of the recording, for messages
 
     Raises
@@ -83,18 +75,20 @@ def check_recording(recording: Recording, nominal: Nominal, *, name: str = "reco
             f"{name}: was recorded on device {recording.device!r}, the model is of {preset(nominal.device).id!r}; "
             "give the model of this device"
         )
-    if len(recording) < SHORTEST:
-        raise Unusable(f"{name}: found {len(recording)} samples, need at least {SHORTEST}")
+    if len(recording) < limits.shortest:
+        raise Unusable(f"{name}: found {len(recording)} samples, need at least {limits.shortest}")
     if HEATER_CURRENT not in recording:
         raise Unusable(
             f"{name}: found channels {', '.join(recording.channels) or 'none'}, need heater_current"
         )
-    if told := _mixed_up(recording, nominal):
+    if told := _mixed_up(recording, nominal, limits):
         raise Unusable(f"{name}: {told}")
     if wrong := impossible(recording, nominal.device):
         raise Unusable(f"{name}: {'; '.join(wrong)}")
     dead = [
-        c for c in (RESISTANCE, TIP_DEFLECTION) if c in recording and _stands_still(recording[c], c, nominal)
+        c
+        for c in (RESISTANCE, TIP_DEFLECTION)
+        if c in recording and _stands_still(recording[c], c, nominal, limits)
     ]
     moving = {c: values for c, values in recording.channels.items() if c not in dead}
     odd = unusual(replace(recording, channels=moving), nominal.device)
@@ -106,16 +100,16 @@ def check_recording(recording: Recording, nominal: Nominal, *, name: str = "reco
         findings.append(
             Finding("device", f"{name}: says that it is of device {recording.device}, the model is of {own}")
         )
-    if len(recording) < FEW:
+    if len(recording) < limits.few:
         findings.append(
             Finding(
                 "few",
-                f"{name}: {len(recording)} samples: a change must be {np.sqrt(FEW / len(recording)):.1f} times as large to "
-                f"be seen as in {FEW}, and effects that differ in their time course look alike",
+                f"{name}: {len(recording)} samples: a change must be {np.sqrt(limits.few / len(recording)):.1f} times as large "
+                f"to be seen as in {limits.few}, and effects that differ in their time course look alike",
             )
         )
-    findings += _clock(recording, nominal, name)
-    findings += _drive(recording, nominal, name)
+    findings += _clock(recording, nominal, name, limits)
+    findings += _drive(recording, nominal, name, limits)
     usable = []
     for channel in (response.role for response in nominal.model.description.responses):
         if channel not in recording:
@@ -123,7 +117,7 @@ def check_recording(recording: Recording, nominal: Nominal, *, name: str = "reco
                 Finding("absent", f"{channel} is absent: effects that only it shows cannot be told")
             )
             continue
-        found, good = _channel(recording, channel, nominal)
+        found, good = _channel(recording, channel, nominal, limits)
         findings += found
         if good:
             usable.append(channel)
@@ -135,7 +129,7 @@ def check_recording(recording: Recording, nominal: Nominal, *, name: str = "reco
     return findings
 
 
-def _mixed_up(recording: Recording, nominal: Nominal) -> str:
+def _mixed_up(recording: Recording, nominal: Nominal, limits: Limits) -> str:
     """What says that two channels are one, or each other's; empty for nothing."""
     device = preset(nominal.device)
     drive = COMMANDED_CURRENT if COMMANDED_CURRENT in recording else HEATER_CURRENT
@@ -145,26 +139,26 @@ def _mixed_up(recording: Recording, nominal: Nominal) -> str:
         both = np.isfinite(x) & np.isfinite(y) & (x != 0.0)
         if np.count_nonzero(both) > 2 and np.ptp(x[both]) > 0.0 and np.any(y[both]):
             ratio = y[both] / x[both]
-            if np.ptp(ratio) <= COPIED * float(np.max(np.abs(ratio))):
+            if np.ptp(ratio) <= limits.copied * float(np.max(np.abs(ratio))):
                 return f"{second} is a copy of {first}, times {ratio[0]:.4g}: need what each sensor measured"
     ends = {RESISTANCE: device.resistance_range[1], TIP_DEFLECTION: max(map(abs, device.deflection_extent))}
     if all(c in recording and np.isfinite(recording[c]).any() for c in ends):
         largest = {c: float(np.nanmax(np.abs(recording[c]))) for c in ends}
         crossed = (largest[RESISTANCE] / ends[TIP_DEFLECTION], largest[TIP_DEFLECTION] / ends[RESISTANCE])
-        distinct = ends[RESISTANCE] > FAR**2 * ends[TIP_DEFLECTION]
-        if distinct and all(1.0 / FAR < ratio < FAR for ratio in crossed):
+        distinct = ends[RESISTANCE] > limits.far_off**2 * ends[TIP_DEFLECTION]
+        if distinct and all(1.0 / limits.far_off < ratio < limits.far_off for ratio in crossed):
             return f"{RESISTANCE} and {TIP_DEFLECTION} are swapped: each has the values of the other"
     return ""
 
 
-def _clock(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:
+def _clock(recording: Recording, nominal: Nominal, name: str, limits: Limits) -> list[Finding]:
     steps = np.diff(recording.time_s)
     dt = recording.sample_period_s
     # a current is held from one instant of a clock to the next, whatever was read of it in between
     clock = regular_instants(recording.time_s) if nominal.model.description.has_body else clock_of(recording)
-    gaps = np.diff(clock[2]) > 1 if clock else steps > 1.5 * dt
+    gaps = np.diff(clock[2]) > 1 if clock else steps > limits.gap * dt
     jitter = jitter_of(recording.time_s)
-    if jitter > UNSTEADY and clock is None:
+    if jitter > limits.unsteady and clock is None:
         raise Unusable(
             f"{name}: {100 * jitter:.0f} % of the sample periods differ from the median {dt:.4g} s by over a fifth: "
             "the clock is not that of a regular acquisition; check the stamps"
@@ -173,15 +167,17 @@ def _clock(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:
     device = preset(nominal.device)
     shortest, longest = device.shortest_period / 2, 20 * device.time_constant
     if not device.has_body:  # nothing in it has a time of its own: only a wrong unit of the time is told
-        shortest, longest = device.sample_period / FAR, device.sample_period * FAR
+        shortest, longest = device.sample_period / limits.far_off, device.sample_period * limits.far_off
     if not shortest <= dt <= longest:
         raise Unusable(
             f"{name}: found a sample period of {dt:.4g} s, need {shortest:.4g} to {longest:.4g} s for this device; "
             "check the stamps"
         )
     missing = float(np.sum(steps[gaps]) / duration) if np.any(gaps) else 0.0
-    if missing > 0.3:
-        raise Unusable(f"{name}: gaps make up {100 * missing:.0f} % of the recording, need less than 30 %")
+    if missing > limits.gaps:
+        raise Unusable(
+            f"{name}: gaps make up {100 * missing:.0f} % of the recording, need less than {100 * limits.gaps:.0f} %"
+        )
     found = []
     if jitter > JITTERED:
         found.append(
@@ -203,20 +199,20 @@ def _clock(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:
     return found
 
 
-def _drive(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:
+def _drive(recording: Recording, nominal: Nominal, name: str, limits: Limits) -> list[Finding]:
     current = recording[HEATER_CURRENT]
     good = np.isfinite(current)
-    if np.count_nonzero(good) < 0.5 * current.size:
+    if np.count_nonzero(good) < limits.drive_known * current.size:
         raise Unusable(f"{name}: heater_current is missing from more than half of the samples")
     device = nominal.model.description
     low, high = device.operating_range
     extent = float(np.ptp(current[good]))
-    if extent < 0.01 * abs(high - low):
+    if extent < limits.no_drive * abs(high - low):
         raise Unusable(
             f"{name}: heater_current varies by {extent:.3g} {device.drive_unit} of an operating range of {abs(high - low):.3g}: "
             "check its unit, or record an excitation"
         )
-    if extent < 0.3 * abs(high - low):
+    if extent < limits.narrow * abs(high - low):
         return [
             Finding(
                 "narrow",
@@ -227,22 +223,24 @@ def _drive(recording: Recording, nominal: Nominal, name: str) -> list[Finding]:
     return []
 
 
-def _channel(recording: Recording, channel: str, nominal: Nominal) -> tuple[list[Finding], bool]:
+def _channel(
+    recording: Recording, channel: str, nominal: Nominal, limits: Limits
+) -> tuple[list[Finding], bool]:
     values = judged(channel, recording[channel])
     good = np.isfinite(values)
     share = float(np.mean(good))
-    if np.count_nonzero(good) < SHORTEST:
+    if np.count_nonzero(good) < limits.shortest:
         return [
             Finding("missing", f"{channel} is missing from {100 * (1 - share):.0f} % of the samples", channel)
         ], False
     x = values[good]
     found = []
-    if share < 0.999:
+    if share < limits.complete:
         found.append(
             Finding("missing", f"{channel} is missing from {100 * (1 - share):.1f} % of the samples")
         )
     span = float(np.ptp(x))
-    if span == 0.0 or span < 1e-4 * nominal.span[channel]:
+    if span == 0.0 or span < limits.constant * nominal.span[channel]:
         return [
             *found,
             Finding(
@@ -253,8 +251,9 @@ def _channel(recording: Recording, channel: str, nominal: Nominal) -> tuple[list
         ], False
     noise = level_from_differences(x)
     # of few samples the differences are the signal's own, and of a coarse converter's values they are its steps
-    if x.size >= FEW and noise > 0.25 * float(np.std(x)) and not _of_steps(recording[channel][good]):
-        if _stands_still(recording[channel], channel, nominal):
+    white = noise > limits.noisy * float(np.std(x))
+    if x.size >= limits.few and white and not _of_steps(recording[channel][good], limits):
+        if _stands_still(recording[channel], channel, nominal, limits):
             text = f"{channel} is nothing but noise about one value: a broken lead, which is not compared"
             return [*found, Finding("noise", text, channel)], False
         return [
@@ -262,7 +261,7 @@ def _channel(recording: Recording, channel: str, nominal: Nominal) -> tuple[list
             Finding("noise", f"{channel} is mostly noise (level {noise / np.std(x):.0%} of its spread)"),
         ], False
     ends = max(float(np.mean(x == np.max(x))), float(np.mean(x == np.min(x))))
-    if (1.0 - ends) * x.size < SHORTEST:
+    if (1.0 - ends) * x.size < limits.shortest:
         return [
             *found,
             Finding(
@@ -271,27 +270,28 @@ def _channel(recording: Recording, channel: str, nominal: Nominal) -> tuple[list
                 channel,
             ),
         ], False
-    if ends > 0.02:
+    if ends > limits.clipped:
         found.append(
             Finding("clipped", f"{channel} sits at its end value in {100 * ends:.1f} % of the samples")
         )
     return found, True
 
 
-def _stands_still(values: Floats, channel: str, nominal: Nominal) -> bool:
+def _stands_still(values: Floats, channel: str, nominal: Nominal, limits: Limits) -> bool:
     """Whether values (n,) stay at one, noise apart: a small part of the range, with differences as large as white noise has."""
     x = values[np.isfinite(values)]
-    if x.size < FEW or np.ptp(x) == 0.0:
+    if x.size < limits.few or np.ptp(x) == 0.0:
         return x.size > 0 and bool(np.ptp(x) == 0.0)
     y = judged(channel, x)
-    small = float(np.ptp(y)) < SMALL_PART * nominal.span[channel]
-    return small and level_from_differences(y) > STILL * float(np.std(y)) and not _of_steps(x)
+    small = float(np.ptp(y)) < limits.small_part * nominal.span[channel]
+    white = level_from_differences(y) > limits.still * float(np.std(y))
+    return small and white and not _of_steps(x, limits)
 
 
-def _of_steps(values: Floats) -> bool:
+def _of_steps(values: Floats, limits: Limits) -> bool:
     """Whether values (n,) bend no more than by one step of the converter whose comb they lie on."""
     step = value_step(values)
-    return step > 0.0 and float(np.median(np.abs(np.diff(values, 2)))) < 1.5 * step
+    return step > 0.0 and float(np.median(np.abs(np.diff(values, 2)))) < limits.bends_by * step
 
 
 def limits_in_words(findings: Sequence[Finding]) -> list[str]:

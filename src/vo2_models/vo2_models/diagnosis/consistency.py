@@ -8,23 +8,17 @@ from itertools import combinations
 import numpy as np
 
 from vo2_models.diagnosis.check import Unusable
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nominal import Nominal, Response, loop_ends
 from vo2_models.diagnosis.part import Part
 from vo2_models.recording import RESISTANCE
 
 __all__ = ["check_consistency"]
 
-REVERSED = -0.5
-"""Correlation with the simulation below which a channel runs the other way: no effect turns a loop upside down."""
-OTHER_FILM = 1.5
-"""Factor between the resistances of two recordings from which they are of two films: gains change by per cents."""
-ENOUGH = 50
-"""Samples on either side of the loops from which that can be told."""
-FOREIGN = 10.0
-"""Times what the fit left of its calibration, from which a recording is not the one that it was fitted to."""
 
-
-def check_consistency(started: Sequence[tuple[Part, Response]], nominal: Nominal, calibrations: int) -> None:
+def check_consistency(
+    started: Sequence[tuple[Part, Response]], nominal: Nominal, calibrations: int, limits: Limits
+) -> None:
     """Raise where recordings contradict the model or each other as physics does not.
 
     Parameters
@@ -32,6 +26,7 @@ def check_consistency(started: Sequence[tuple[Part, Response]], nominal: Nominal
     started : recordings with their nominal responses
     nominal : fitted simulation
     calibrations : so many of them, the first ones, are those that the model was fitted to
+    limits : of what physics does
 
     Raises
     ------
@@ -41,11 +36,11 @@ def check_consistency(started: Sequence[tuple[Part, Response]], nominal: Nominal
         if _same(one, other):
             raise Unusable(f"{other.name}: is {one.name} once more; need each recording once")
     for part, response in started:
-        if told := _reversed(part, response):
+        if told := _reversed(part, response, limits):
             raise Unusable(f"{part.name}: {told}")
-    _check_films(started, nominal)
+    _check_films(started, nominal, limits)
     for part, response in started[:calibrations]:
-        if told := _foreign(part, response, nominal):
+        if told := _foreign(part, response, nominal, limits):
             raise Unusable(f"{part.name}: {told}")
 
 
@@ -56,7 +51,7 @@ def _same(one: Part, other: Part) -> bool:
     )
 
 
-def _reversed(part: Part, response: Response) -> str:
+def _reversed(part: Part, response: Response, limits: Limits) -> str:
     """What says that a sign is the other way round; empty for nothing."""
     against = []
     for channel in part.channels:
@@ -64,7 +59,7 @@ def _reversed(part: Part, response: Response) -> str:
         seen, expected = part.observed[channel][good], response.channels[channel][good]
         if np.ptp(seen) > 0.0 and np.ptp(expected) > 0.0:
             against.append((channel, float(np.corrcoef(seen, expected)[0, 1])))
-    upside = [channel for channel, cosine in against if cosine < REVERSED]
+    upside = [channel for channel, cosine in against if cosine < limits.reverse]
     if not upside:
         return ""
     if len(upside) == len(against) > 1:
@@ -78,7 +73,7 @@ def _reversed(part: Part, response: Response) -> str:
     )
 
 
-def _check_films(started: Sequence[tuple[Part, Response]], nominal: Nominal) -> None:
+def _check_films(started: Sequence[tuple[Part, Response]], nominal: Nominal, limits: Limits) -> None:
     """Raise where resistances on both sides of the loops are those of two films: a bad contact changes one side alone."""
     low, high = loop_ends(nominal.model)
     levels = []
@@ -89,12 +84,12 @@ def _check_films(started: Sequence[tuple[Part, Response]], nominal: Nominal) -> 
             outside & part.valid[RESISTANCE]
             for outside in (response.temperature < low, response.temperature > high)
         ]
-        if all(np.count_nonzero(side) >= ENOUGH for side in sides):
+        if all(np.count_nonzero(side) >= limits.other_film_samples for side in sides):
             gap = part.observed[RESISTANCE] - response.channels[RESISTANCE]
             levels.append((part.name, [float(np.median(gap[side])) for side in sides]))
     for (first, one), (second, other) in combinations(levels, 2):
         apart = np.subtract(other, one)
-        if np.min(np.abs(apart)) > np.log10(OTHER_FILM) and apart[0] * apart[1] > 0.0:
+        if np.min(np.abs(apart)) > np.log10(limits.other_film) and apart[0] * apart[1] > 0.0:
             factor = 10 ** float(np.mean(apart))
             raise Unusable(
                 f"{second}: film_resistance is {factor:.3g} times that of {first} at the same temperatures, low and high: "
@@ -102,7 +97,7 @@ def _check_films(started: Sequence[tuple[Part, Response]], nominal: Nominal) -> 
             )
 
 
-def _foreign(part: Part, response: Response, nominal: Nominal) -> str:
+def _foreign(part: Part, response: Response, nominal: Nominal, limits: Limits) -> str:
     """What says that the model was not fitted to this recording; empty for nothing."""
     for channel, sensor in nominal.model.sensors.items():
         if channel not in part.channels or not sensor.residual:
@@ -110,7 +105,7 @@ def _foreign(part: Part, response: Response, nominal: Nominal) -> str:
         gap = (part.observed[channel] - response.channels[channel])[part.valid[channel]]
         # without the largest, so that neither outliers nor a wrong start count; of a normal one it is the deviation
         left = float(np.quantile(np.abs(gap), 0.9)) / 1.645
-        if left > FOREIGN * sensor.residual:
+        if left > limits.foreign * sensor.residual:
             return (
                 f"is {left / sensor.residual:.3g} times as far from the model in {channel} as the fit left its calibration: "
                 "the model was fitted to another recording; give that one, or fit again"

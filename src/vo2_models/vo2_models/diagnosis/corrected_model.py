@@ -30,8 +30,6 @@ from vo2_models.recording import RESISTANCE
 __all__ = ["CorrectedModel", "StandIn", "corrected_model", "distance", "stand_in"]
 
 Floats = NDArray[np.float64]
-WORTH = 0.05
-"""Least share of the excess that terms must remove on held-out blocks to be written down."""
 PROMISING = 3
 """Single effects that are tried as a description."""
 
@@ -110,7 +108,8 @@ def stand_in(study: Study) -> StandIn | None:
     options = list(found.options)
     if not options:
         options = [
-            option_of(located.nominal, problem, single, found.singles) for single in found.singles[:PROMISING]
+            option_of(located.nominal, problem, single, found.singles, study.limits)
+            for single in found.singles[:PROMISING]
         ]
     alone = min((o for o in options if len(o.chosen.keys) == 1), key=_left, default=None)
     if alone is not None and all(len(o.chosen.keys) == 1 for o in options):
@@ -119,11 +118,11 @@ def stand_in(study: Study) -> StandIn | None:
         options += [pair] if pair else []
     folds = block_folds(problem)
     tried = [
-        StandIn(option, held_out(option.final, option.chosen, reference=problem, folds=folds))
+        StandIn(option, held_out(option.final, option.chosen, study.limits, reference=problem, folds=folds))
         for option in sorted(options, key=_left)[:2]
     ]
     best = max(tried, key=lambda one: one.judged.share)
-    return best if best.judged.share > WORTH else None
+    return best if best.judged.share > study.limits.worth else None
 
 
 def corrected_model(study: Study) -> CorrectedModel:
@@ -172,7 +171,7 @@ def _nearest(study: Study, candidates: Iterable[_Written]) -> tuple[Mapping[str,
     least, nrmse = np.inf, dict[str, float]()
     for written in candidates:
         square, left = _judged(study, written)
-        if not best or square < (1.0 - WORTH) * least:
+        if not best or square < (1.0 - study.limits.worth) * least:
             best, least, nrmse = written.parameters, square, left
     return best, nrmse
 

@@ -21,6 +21,8 @@ __all__ = ["as_commanded", "between_samples", "current_reading"]
 Floats = NDArray[np.float64]
 FOLLOWS = (0.5, 2.0)
 """Gains between which a reading is one of the heater's current: of a loose wire it is near nothing."""
+FEWEST = 100
+"""Readings from which a line through them is fitted."""
 STILL = 3.0
 """Change from sample to sample, in noise levels, up to which the current is taken as held."""
 
@@ -29,7 +31,7 @@ def current_reading(recording: Recording) -> tuple[tuple[float, ...], tuple[floa
     """Return offset [A] and gain of a calibration's current reading, and its noise (innovation [A], AR terms).
 
     reading = offset + gain command + noise, by least squares. Both are empty where that says nothing of the current: where
-    the log only repeats the command, was read fewer than a hundred times, or does not follow the command.
+    the log only repeats the command, was read fewer than `FEWEST` times, or does not follow the command.
 
     Parameters
     ----------
@@ -44,7 +46,7 @@ def current_reading(recording: Recording) -> tuple[tuple[float, ...], tuple[floa
     command, own = drive_of(recording)
     logged = recording[HEATER_CURRENT]
     good = np.isfinite(logged)
-    if not own or np.count_nonzero(good) < 100:
+    if not own or np.count_nonzero(good) < FEWEST:
         return (), ()
     columns = np.column_stack([np.ones(command.size), command])
     line = np.linalg.lstsq(columns[good], logged[good])[0]

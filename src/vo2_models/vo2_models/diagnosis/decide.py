@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device.coefficients import HUGE
-from vo2_models.diagnosis.adequacy import Adequacy, adequacy_of, ends_flat, over_misfit, reached
+from vo2_models.diagnosis.adequacy import (
+    Adequacy,
+    adequacy_of,
+    behind_the_loop,
+    ends_flat,
+    over_misfit,
+    reached,
+)
 from vo2_models.diagnosis.breakdown import Breakdown, breakdown
 from vo2_models.diagnosis.drift import Drift, drift_of
 from vo2_models.diagnosis.explain import Explanation, Score, score
@@ -143,7 +150,7 @@ def without_a_name(
     located, found, reading, limits, clock : as `decide` took them
     """
     folds = recording_folds(located.problem, reading.calibrations) or block_folds(located.problem)
-    judged = held_out(located.problem, None, folds=folds)
+    judged = held_out(located.problem, None, limits, folds=folds)
     # what an effect in the place of constants explains, they explain
     adequacy = None if decision.held else decision.adequacy
     shown = adequacy.share if adequacy else 0.0
@@ -163,7 +170,9 @@ def _judged(
     shown = 0.0
     alone = _moved_alone(located, limits, first_use=first_use) if located.own_misfit else None
     for option in found.options:
-        judged = held_out(option.final, option.chosen, reference=problem, folds=folds, tick=clock.tick)
+        judged = held_out(
+            option.final, option.chosen, limits, reference=problem, folds=folds, tick=clock.tick
+        )
         shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
         adequacy = adequacy_of(option, limits)
         judgements.append(adequacy)
@@ -188,8 +197,11 @@ def _judged(
         alone = _moved_alone(located, limits, first_use=first_use)
     if found.held is not None and alone is None:
         option, reference = found.held.option, found.held.reference
-        judged = held_out(option.final, option.chosen, reference=reference, folds=folds, tick=clock.tick)
-        adequacy = adequacy_of(option, limits)
+        judged = held_out(
+            option.final, option.chosen, limits, reference=reference, folds=folds, tick=clock.tick
+        )
+        over_constants = max(problem.residual_chi_square - option.chosen.chi_square, 0.0)
+        adequacy = adequacy_of(option, limits, most=over_constants)
         if _is_admissible(option, judged, adequacy, limits) and judged.share > limits.share:
             alone = _moved_alone(located, limits, first_use=first_use, held=found.held)
             if alone is None:
@@ -197,7 +209,7 @@ def _judged(
                     option, judged, option.rivals, option.remaining, adequacy, shown, held=found.held
                 )
     likeliest = min(judgements, key=lambda one: one.something_else(limits), default=None)
-    nothing = held_out(problem, None, folds=folds)
+    nothing = held_out(problem, None, limits, folds=folds)
     return _Verdict(None, nothing, rivals, remaining, likeliest, shown, alone=alone)
 
 
@@ -216,7 +228,7 @@ def _named(
     own = chosen.hypotheses[0].record.id
     alternatives = dict.fromkeys(key.partition(":")[0] for key in verdict.equivalent)
     pairs = [(own, name) for name in alternatives if name != own] or _rival_pairs(
-        chosen, verdict.rivals, verdict.remaining, limits, one_loop=one_loop
+        located.problem, chosen, verdict.rivals, verdict.remaining, limits, one_loop=one_loop
     )
     proposal = None
     if pairs:
@@ -256,7 +268,7 @@ def _unnamed(
     loud = located.is_loud(limits)
     if loud:
         clock.say("shaping what has no name")
-        unnamed = fit_nonparametric_correction(problem, located.remaining, block_folds(problem))
+        unnamed = fit_nonparametric_correction(problem, located.remaining, block_folds(problem), limits)
     verdict_word: Literal["agrees", "drifted", "differs"] = "differs"
     where, proposal = located.breakdown, None
     drift = verdict.alone or _drift(problem, problem.residual, verdict.judged)
@@ -357,7 +369,7 @@ def _mimics_of_constants(
     for gain, hypothesis in sorted(found, key=lambda item: -item[0]):
         gains.setdefault(hypothesis.record.id, (gain, hypothesis))
     best = max((gain for gain, _ in gains.values()), default=0.0)
-    return tuple(h for gain, h in gains.values() if gain > max(0.5 * best, limits.faint))[:4]
+    return tuple(h for gain, h in gains.values() if gain > max(limits.mimic * best, limits.faint))[:4]
 
 
 def _is_admissible(option: Option, judged: HeldOut, adequacy: Adequacy, limits: Limits) -> bool:
@@ -434,7 +446,7 @@ def _as_adequate(
     kept = {own.keys[0]: np.inf}
     for key in _equivalent(option, singles, limits):
         if key not in kept:
-            rival = option_of(located.nominal, located.problem, rivals[key], (), tick=clock.tick)
+            rival = option_of(located.nominal, located.problem, rivals[key], (), limits, tick=clock.tick)
             if left(rival) <= most or rival.chosen.gain >= limits.equal_of_misfit * own.gain:
                 kept[key] = rival.chosen.chi_square - own.chi_square
     ahead = min(kept.values()) > limits.apart * max(1.0, own.chi_square / option.final.count)
@@ -474,6 +486,7 @@ def _significant(explanation: Explanation, limits: Limits) -> bool:
 
 
 def _rival_pairs(
+    problem: LinearisedProblem,
     chosen: Explanation | None,
     rivals: Sequence[Explanation],
     remaining: float,
@@ -487,7 +500,7 @@ def _rival_pairs(
     reference = next((r for r in rivals if set(r.keys) == set(chosen.keys)), chosen)
     limit = limits.rival * (1.0 + max(remaining, 0.0))
     if one_loop and len(chosen.keys) == 1:
-        limit = max(limit, (1.0 - limits.dominated) * reference.gain)
+        limit = max(limit, (1.0 - limits.dominated) * behind_the_loop(problem, reference.gain))
     pairs: list[tuple[str, str]] = []
     for rival in rivals:
         ours = [k.split(":")[0] for k in chosen.keys if k not in rival.keys]

@@ -18,8 +18,6 @@ from vo2_models.recording import RESISTANCE
 
 __all__ = ["Evident", "evident_effects", "located_with", "untold_steps", "without_lines"]
 
-SAME = 1.05
-"""Steps of converters this far apart, as a ratio, are the same one's."""
 QUIET = 1e-3
 """Share of the noise that counts for none."""
 
@@ -85,7 +83,7 @@ def evident_effects(
             key = f"{name}:{channel}"
             if (name, channel) in found or key in nominal.model.effects or channel not in nominal.noise:
                 continue
-            if not first_use and _known(values, channel, nominal):
+            if not first_use and _known(values, channel, nominal, limits):
                 continue
             flat = part.flat.get(name, {}).get(channel)
             acting: NDArray[np.bool_] = part.valid[channel] if flat is None else flat
@@ -111,7 +109,9 @@ def evident_effects(
     return tuple(found.values())
 
 
-def untold_steps(parts: Sequence[Part], nominal: Nominal, evident: Sequence[Evident]) -> list[str]:
+def untold_steps(
+    parts: Sequence[Part], nominal: Nominal, evident: Sequence[Evident], limits: Limits
+) -> list[str]:
     """Return a sentence for each channel whose converter has become coarser than its sensor's noise, but not than the misfit.
 
     Parameters
@@ -119,6 +119,7 @@ def untold_steps(parts: Sequence[Part], nominal: Nominal, evident: Sequence[Evid
     parts : recordings
     nominal : fitted simulation
     evident : what is told as an effect
+    limits : when two converters are the same
     """
     named = {one.signal for one in evident if "step" in one.values}
     device = nominal.model.description
@@ -127,7 +128,7 @@ def untold_steps(parts: Sequence[Part], nominal: Nominal, evident: Sequence[Evid
         "calibration: no more than the law misses, so that no effect is named for it"
         for part in parts
         for channel, step in part.comb.items()
-        if channel not in named and not _known({"step": step}, channel, nominal)
+        if channel not in named and not _known({"step": step}, channel, nominal, limits)
     ]
 
 
@@ -208,10 +209,10 @@ def _line(
     return found
 
 
-def _known(values: Mapping[str, float], channel: str, nominal: Nominal) -> bool:
+def _known(values: Mapping[str, float], channel: str, nominal: Nominal, limits: Limits) -> bool:
     """Whether the calibration's values lay on the same comb, or on a coarser one."""
     before = nominal.digest.steps.get(channel, 0.0) if nominal.digest else 0.0
-    return "step" in values and values["step"] < SAME * before
+    return "step" in values and values["step"] < limits.same_steps * before
 
 
 def located_with(evident: Sequence[Evident], rest: Sequence[Location], energy: float) -> list[Location]:

@@ -25,22 +25,24 @@ ROUNDS = 3
 """So often a magnitude is set anew while hypotheses are scored."""
 PRUNED = 0.02
 """Share of the largest gain seen below which a start is not followed."""
-SMALLEST = 1e-3
-"""Smallest effect that is looked for, as a share of a start."""
+SMALLEST, LARGEST, NEW = 1e-3, 50.0, 0.1
+"""Smallest and largest effect that is looked for, in sizes of a start, and the least change of a size that says something new."""
+NOTHING = 1e-9
+"""Chi-square that is none: a guard against division by it."""
 BRIEF = 4
 """Iterations after which a refit shows whether it is worth going on."""
-SHOWS = 4.0
-"""Change of chi-square by a step of a parameter from which a bound that it has come to matters."""
-FORGONE = 100.0
-"""Drop of chi-square beyond a bound from which the bound matters: a quarter of what makes a name."""
 CORRECTED = 4
 """Steps at most with a tangent that is corrected by the steps before, until it is taken anew."""
 FORESEEN = 0.25
 """Share of the expected drop of chi-square that a step must bring for the tangent to be corrected, not taken anew."""
 SETTLED = 1e-4
 """Share of the whole drop of chi-square below which a step's drop shows that the next would bring next to nothing."""
-TOLD = 0.1
-"""Drop of chi-square, in units of the residual's power over the noise's, below which two fits are the same."""
+TOLD, SAME = 0.1, 0.05
+"""Drop of chi-square, in units of the residual's power over the noise's, and by itself, below which two fits are the same."""
+ROUNDING = 1e-6
+"""Drop of chi-square that is only rounding."""
+A_STEP, STUCK = 0.1, 1e-3
+"""Least step of a coordinate by which a derivative is taken, and step up to which a bound holds it."""
 BATCH = 8
 """Simulations judged together, on one core; one matrix product serves them all."""
 
@@ -214,7 +216,7 @@ def score(
         for some, products in zip(batches, parallel_map(products_of, batches), strict=True):
             for (hypothesis, values), a, o in zip(some, *products, strict=True):
                 gain = 2.0 * a - o
-                if not hypothesis.magnitudes and a > 0 and o > 1e-9:
+                if not hypothesis.magnitudes and a > 0 and o > NOTHING:
                     gain = a * a / o
                 known = best[hypothesis.key]
                 if gain > known.gain:
@@ -284,10 +286,10 @@ def _rescaled(
 ) -> dict[str, float] | None:
     """The start with the magnitude that is best if the effect is linear in it; None where that says nothing new."""
     names = [n for n in hypothesis.magnitudes if values[n] != 0.0]
-    if not names or own < 1e-9:
+    if not names or own < NOTHING:
         return None
     factor = along / own
-    if not SMALLEST < abs(factor) < 50 or abs(factor - 1) < 0.1:
+    if not SMALLEST < abs(factor) < LARGEST or abs(factor - 1) < NEW:
         return None
     factor = min(max(factor, -5.0), 5.0)
     better = {
@@ -328,7 +330,7 @@ def switched(
         columns = np.column_stack(problem.deviations([hypothesis.effects(v) for v in trials]))
         for _ in trials:
             tick()
-        along, own = left @ columns, np.maximum(problem.chi_squares(columns), 1e-9)
+        along, own = left @ columns, np.maximum(problem.chi_squares(columns), NOTHING)
         return [(float(a * abs(a) / o), float(a / o)) for a, o in zip(along, own, strict=True)]
 
     best, factor = judged([values])[0]
@@ -355,6 +357,7 @@ def fit_jointly(
     problem: LinearisedProblem,
     hypotheses: Sequence[Hypothesis],
     starts: Sequence[Mapping[str, float]],
+    limits: Limits,
     *,
     iterations: int = 12,
     tick: Callable[[], None] = lambda: None,
@@ -365,6 +368,7 @@ def fit_jointly(
     ----------
     problem : the problem, or a part of it (`LinearisedProblem.restricted`)
     hypotheses, starts : what is added, and where to begin
+    limits : when a bound matters
     iterations : at most
     tick : called once per simulation
 
@@ -395,8 +399,8 @@ def fit_jointly(
     covariance = _covariance(problem, descent.tangent, left, problem.residual - change)
     # a shape that hardly shows, and would gain nothing beyond its bound, is nowhere
     curvature = np.sum(descent.tangent * left, axis=0)
-    beyond = (left.T @ (problem.residual - change)) ** 2 / np.maximum(curvature, 1e-9)
-    shows = (curvature > SHOWS) | (beyond > FORGONE)
+    beyond = (left.T @ (problem.residual - change)) ** 2 / np.maximum(curvature, NOTHING)
+    shows = (curvature > limits.bound_shows) | (beyond > limits.bound_forgone)
     at_bound = tuple(
         f"{hypotheses[k].key}.{name}"
         for place, (k, name) in enumerate(coordinates)
@@ -409,7 +413,11 @@ def fit_jointly(
 
 
 def either_way(
-    problem: LinearisedProblem, fit: Explanation, *, tick: Callable[[], None] = lambda: None
+    problem: LinearisedProblem,
+    fit: Explanation,
+    limits: Limits,
+    *,
+    tick: Callable[[], None] = lambda: None,
 ) -> Explanation:
     """Return the best of the alternatives that effects have, each refitted: a start may be too far off to tell.
 
@@ -419,6 +427,7 @@ def either_way(
     ----------
     problem : that it was fitted to
     fit : with one of them
+    limits : when a bound matters
     tick : called once per simulation
     """
     best = fit
@@ -426,13 +435,13 @@ def either_way(
         for name in (n for n in hypothesis.choices if n in fit.values[k]):
             values = [dict(v) for v in best.values]
             values[k][name] = 1.0 - values[k][name]
-            other = fit_jointly(problem, fit.hypotheses, values, iterations=BRIEF, tick=tick)
+            other = fit_jointly(problem, fit.hypotheses, values, limits, iterations=BRIEF, tick=tick)
             best = min(best, other, key=lambda e: e.chi_square)
         ends = [name for name in hypothesis.magnitudes if f"{hypothesis.key}.{name}" in best.at_bound]
         if ends and any(name in best.values[k] for name in hypothesis.magnitudes if name not in ends):
             values = [dict(v) for v in best.values]
             values[k] = {name: value for name, value in values[k].items() if name not in ends}
-            other = fit_jointly(problem, fit.hypotheses, values, tick=tick)
+            other = fit_jointly(problem, fit.hypotheses, values, limits, tick=tick)
             best = min(best, other, key=lambda e: e.chi_square)
     return best
 
@@ -500,7 +509,7 @@ class _Joint:
                 moved = [dict(v) for v in values]
                 moved[k][name] = self.hypotheses[k].moved(name, values[k][name], step)
                 actual = self.hypotheses[k].distance(name, values[k][name], moved[k][name])
-                if abs(actual) > 0.1:
+                if abs(actual) > A_STEP:
                     trials.append(self._merged(moved))
                     lengths.append(actual)
                     places.append(place)
@@ -531,7 +540,7 @@ class _Joint:
         damping = 1e-3
 
         def matters(drop: float, share: float) -> bool:
-            return drop > max(TOLD * chi / max(problem.count, 1), share * (chi_first - chi), 0.05)
+            return drop > max(TOLD * chi / max(problem.count, 1), share * (chi_first - chi), SAME)
 
         for _ in range(iterations):
             self.linearise(values, change, shift)
@@ -557,7 +566,7 @@ class _Joint:
                         rest_new = target - new
                         new_seen = nuisance.against(rest_new)
                         chi_new = problem.chi_square(rest_new, new_seen)
-                        if chi_new < chi - 1e-6:
+                        if chi_new < chi - ROUNDING:
                             improved = True
                             break
                     damping = max(damping * 30, 1e-3)
@@ -582,7 +591,7 @@ class _Joint:
         for place, (k, name) in enumerate(self.coordinates):
             hypothesis, old = self.hypotheses[k], values[k][name]
             there = hypothesis.moved(name, old, float(np.sign(right[place])))
-            free[place] = abs(hypothesis.distance(name, old, there)) > 1e-3
+            free[place] = abs(hypothesis.distance(name, old, there)) > STUCK
         return free
 
     def _step(

@@ -19,9 +19,6 @@ from vo2_models.model_file import save_model_parameters
 
 __all__ = ["write_results"]
 
-FARTHER = 1.5
-"""What a corrected model leaves, over what the diagnosis does, from which it is told."""
-
 
 def write_results(
     study: Study, folder: Path, *, problems: Sequence[str] = (), seconds: float = 0.0
@@ -99,7 +96,7 @@ def _farther_off(corrected: CorrectedModel, diagnosis: Diagnosis, study: Study) 
     for channel, nrmse in corrected.nrmse.items():
         name = in_own_names(channel, study)
         fit = diagnosis.fit.get(name)
-        if fit and nrmse > FARTHER * max(fit.nrmse_after, fit.noise_floor):
+        if fit and nrmse > study.limits.by_itself * max(fit.nrmse_after, fit.noise_floor):
             told.append(
                 f"corrected_model.yaml by itself leaves {100 * nrmse:.2g} % of the range in {name}; the "
                 f"{100 * fit.nrmse_after:.2g} % of the answer are left beside corrections of the loops that no law holds"

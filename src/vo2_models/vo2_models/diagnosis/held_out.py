@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.diagnosis.explain import Explanation, fit_jointly
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.numerics.parallel import parallel_map
 
@@ -82,6 +83,7 @@ def recording_folds(problem: LinearisedProblem, calibrations: int) -> list[NDArr
 def held_out(
     problem: LinearisedProblem,
     explanation: Explanation | None,
+    limits: Limits,
     *,
     reference: LinearisedProblem | None = None,
     folds: Sequence[NDArray[np.bool_]] | None = None,
@@ -93,6 +95,7 @@ def held_out(
     ----------
     problem : the problem, about the explanation where there is one
     explanation : what is judged; None judges the nuisance model alone
+    limits : when two folds find the same
     reference : the problem about the nominal simulation, which the gain is told against
     folds : held-out masks; two of alternating long blocks by default
     tick : called once per simulation
@@ -109,7 +112,9 @@ def held_out(
     def reached(training: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Where the training blocks have been: at other temperatures nothing was fitted that could be judged."""
         seen = temperature[training & (nominal.weight > 0)]
-        return np.asarray((temperature > seen.min() - 0.5) & (temperature < seen.max() + 0.5))
+        return np.asarray(
+            (temperature > seen.min() - limits.within_k) & (temperature < seen.max() + limits.within_k)
+        )
 
     q_nominal = nominal.chi_square(nominal.residual)
     before_energy = after_energy = 0.0
@@ -124,7 +129,7 @@ def held_out(
         if explanation is None:
             return training, None
         hypotheses, values = explanation.hypotheses, explanation.values
-        return training, fit_jointly(training, hypotheses, values, iterations=3, tick=tick)
+        return training, fit_jointly(training, hypotheses, values, limits, iterations=3, tick=tick)
 
     for held, (training, fitted) in zip(masks, parallel_map(trained, masks), strict=True):
         change = np.zeros(problem.weight.size)
@@ -166,7 +171,7 @@ def held_out(
         root["before"],
         root["after"],
         floor,
-        _stable(problem, explanation, estimates),
+        _stable(problem, explanation, estimates, limits),
     )
 
 
@@ -174,15 +179,19 @@ def _stable(
     problem: LinearisedProblem,
     explanation: Explanation | None,
     estimates: Sequence[Sequence[dict[str, float]]],
+    limits: Limits,
 ) -> bool:
-    """Whether any two folds find that every effect does the same, within a factor of two and a half in size."""
+    """Whether any two folds find that every effect does the same."""
     return explanation is None or all(
-        _same(problem, explanation, *both) for both in combinations(estimates, 2)
+        _same(problem, explanation, limits, *both) for both in combinations(estimates, 2)
     )
 
 
 def _same(
-    problem: LinearisedProblem, explanation: Explanation, *estimates: Sequence[dict[str, float]]
+    problem: LinearisedProblem,
+    explanation: Explanation,
+    limits: Limits,
+    *estimates: Sequence[dict[str, float]],
 ) -> bool:
     """Whether two estimates of an explanation do the same."""
     plain = replace(problem, included={})
@@ -195,7 +204,7 @@ def _same(
         if free and not shaped:
             name = max(free, key=lambda n: abs(explanation.values[index][n]) / hypothesis.scales[n])
             first, second = (fold[index][name] for fold in estimates)
-            if first * second <= 0 or not 0.4 < first / second < 2.5:
+            if first * second <= 0 or not 1.0 / limits.stable < first / second < limits.stable:
                 return False
             continue
         # a magnitude means little without its shape: compare what the effect does
@@ -205,17 +214,19 @@ def _same(
         )
         # as it is, or what of it the nuisance model cannot take up: of a mode's slow heat that may have any part
         beyond = [problem.apply_inverse_covariance(each) for each in (one, other)]
-        if not (_agree(one, other, one, other) or _agree(one, other, *beyond)):
+        if not (_agree(limits, one, other, one, other) or _agree(limits, one, other, *beyond)):
             return False
     return True
 
 
-def _agree(one: Floats, other: Floats, left_one: Floats, left_other: Floats) -> bool:
-    """Whether two whitened changes (N,) agree in pattern and within a factor of two and a half in size.
+def _agree(limits: Limits, one: Floats, other: Floats, left_one: Floats, left_other: Floats) -> bool:
+    """Whether two whitened changes (N,) agree in pattern and in size.
 
     `left_one`, `left_other` : what is left of them where something else may take up a part.
     """
     own, others = float(one @ left_one), float(other @ left_other)
     if own <= 0 or others <= 0:
         return False
-    return bool(one @ left_other >= 0.7 * np.sqrt(own * others) and 0.16 < own / others < 6.25)
+    most = limits.stable**2
+    alike = one @ left_other >= limits.stable_cosine * np.sqrt(own * others)
+    return bool(alike and 1.0 / most < own / others < most)

@@ -278,6 +278,267 @@ class Limits:
         "predicted distance of two explanations, in standard deviations, from which an experiment is worth proposing",
     )
 
+    # of the data: what cannot be judged, and what is said of the rest
+    unjudged: float = _limit(
+        0.2,
+        "share of the samples at temperatures that the calibration hardly covers from which the summary begins with it: reasoned",
+    )
+    shortest: int = _limit(
+        50, "fewest samples that can be judged, half of them on what is covered: chosen, not derived"
+    )
+    few: int = _limit(500, "samples below which it is said what so few cannot tell: chosen, not derived")
+    copied: float = _limit(
+        1e-6, "relative spread of the ratio of two channels up to which one is a copy of the other: rounding"
+    )
+    far_off: float = _limit(
+        100.0,
+        "factor between the largest value of a channel, or the sample period, and that of the device, either way, within which "
+        "it can be this one: chosen, not derived",
+    )
+    gap: float = _limit(
+        1.5, "distance of two samples, in sample periods, from which one is missing: chosen, not derived"
+    )
+    gaps: float = _limit(0.3, "share of a recording that may be gaps: chosen, not derived")
+    unsteady: float = _limit(
+        0.5, "share of sample periods a fifth off their median from which stamps are no clock: half of them"
+    )
+    drive_known: float = _limit(0.5, "share of the samples whose current must be known: chosen, not derived")
+    no_drive: float = _limit(
+        0.01,
+        "share of the operating range that the current must cover to excite anything: chosen, not derived",
+    )
+    narrow: float = _limit(
+        0.3, "the same, below which it is said that what is outside was not excited: chosen, not derived"
+    )
+    complete: float = _limit(
+        0.999, "share of a channel's samples below which it is said how many are missing: chosen, not derived"
+    )
+    constant: float = _limit(
+        1e-4, "share of its range that a channel which is not constant varies by: chosen, not derived"
+    )
+    noisy: float = _limit(
+        0.25, "noise over spread of a channel from which it is mostly noise: chosen, not derived"
+    )
+    still: float = _limit(
+        0.9,
+        "noise from differences, as a share of the spread, from which there is nothing else: of white noise it is 1",
+    )
+    small_part: float = _limit(
+        0.1,
+        "share of a channel's range below which that is so; a drive that jumps at every sample makes more of it look white",
+    )
+    bends_by: float = _limit(
+        1.5,
+        "steps of a converter that values on its comb bend by at most, in the median: chosen, not derived",
+    )
+    clipped: float = _limit(
+        0.02, "share of the samples at a channel's end value from which that is said: chosen, not derived"
+    )
+    dropped: float = _limit(
+        0.02,
+        "share of a channel's range by which the simulation, and what is beside, is off 0 where a reading of exactly 0 is none: "
+        "chosen, not derived",
+    )
+    dropped_most: float = _limit(0.5, "share of such readings of which that must hold: most of them")
+    forgotten: float = _limit(
+        0.7,
+        "share of the samples after gaps, loops unknown, beyond which nothing is judged: chosen, not derived",
+    )
+    reverse: float = _limit(
+        -0.5,
+        "correlation with the simulation below which a channel runs the other way: no effect turns a loop upside down",
+    )
+    other_film: float = _limit(
+        1.5,
+        "factor between the resistances of two recordings from which they are of two films: gains change by per cents",
+    )
+    other_film_samples: int = _limit(
+        50, "samples on either side of the loops from which that can be told: chosen, not derived"
+    )
+    foreign: float = _limit(
+        10.0,
+        "times what the fit left of its calibration, from which a recording is not the one that it was fitted to: chosen, not "
+        "derived",
+    )
+    begun_at_rest: float = _limit(
+        0.2,
+        "squared distance of the first samples from a device at rest at the first current, over that from a cold one, below "
+        "which it was so: chosen, not derived",
+    )
+    begun_at_rest_by: float = _limit(
+        100.0, "the same, what it must be below that as well, in noise powers: chosen, not derived"
+    )
+    crosses: float = _limit(
+        0.5, "share of the range of temperatures that counts as crossing it: chosen, not derived"
+    )
+    turns_apart: float = _limit(
+        0.05, "share of that range by which turning points are two: chosen, not derived"
+    )
+    levels: int = _limit(5, "turning temperatures from which it is more than one loop: chosen, not derived")
+    rates: float = _limit(
+        3.0, "times the slowest crossing's rate from which it is more than one loop: chosen, not derived"
+    )
+    same_steps: float = _limit(
+        1.05, "ratio of the steps of two converters below which they are the same one's: chosen, not derived"
+    )
+    # of where recording and simulation differ
+    beside: float = _limit(
+        5.0,
+        "chi-square over samples from which constants follow an effect that is no move of them, and are not sought further: "
+        "chosen, not derived",
+    )
+    went: float = _limit(
+        10.0,
+        "move of a constant, in units of what the simulation is linear over, from which the way to it may have led astray: "
+        "chosen, not derived",
+    )
+    better: float = _limit(
+        0.5,
+        "share that a constant by itself may leave to be moved to, of the squared residual, and then of the excess: chosen, not "
+        "derived",
+    )
+    unchanged: float = _limit(10.0, "change of chi-square that is none: chosen, not derived")
+    quiet_from: float = _limit(
+        0.3, "residual power over noise power from which, up to `quiet`, it is noise: chosen, not derived"
+    )
+    noise_least: float = _limit(
+        0.5, "level of such a residual over the known noise from which it is the noise: chosen, not derived"
+    )
+    noise_most: float = _limit(1.6, "the same, up to which it is: chosen, not derived")
+    one_branch: float = _limit(
+        4.0,
+        "times the energy per sample of the other branch that one must have to be the place: chosen, not derived",
+    )
+    # of the search: what is followed further
+    absorbed: float = _limit(
+        0.005,
+        "share of what a magnitude changes, in energy, up to which a refitted device is taken to stand for all of it: an "
+        "equation that is 7 % off leaves as much",
+    )
+    promising: float = _limit(
+        0.08, "share of the best score from which an effect is refitted: chosen, not derived"
+    )
+    strong: float = _limit(
+        0.25,
+        "the same, from which it is however many others are ahead: a limit of the drive is not linear, and may score a quarter "
+        "of what others do that it leaves behind once refitted",
+    )
+    to_the_end: float = _limit(
+        0.5, "share of the best gain of brief refits from which one is gone on with: chosen, not derived"
+    )
+    inside: float = _limit(
+        0.8,
+        "share of the best gain from which an effect off its bounds comes before a better one at a bound: chosen, not derived",
+    )
+    bound_shows: float = _limit(
+        4.0,
+        "change of chi-square by a step of a parameter from which a bound that it has come to matters: chosen, not derived",
+    )
+    bound_forgone: float = _limit(
+        100.0,
+        "drop of chi-square beyond a bound from which the bound matters: a quarter of what makes a name",
+    )
+    like_a_course: float = _limit(
+        0.8,
+        "share of the gain of a course from which another effect is linearised about itself beside it: chosen, not derived",
+    )
+    near: float = _limit(
+        4.0,
+        "excess power left by an effect with constants held, over the least that any leaves, up to which it is linearised about "
+        "itself: farther ones do not catch up",
+    )
+    loud: float = _limit(
+        1.0,
+        "excess power that moved constants alone must leave for an effect that leaves noise to be clear of them: the noise's",
+    )
+    part_of_loud: float = _limit(
+        0.25,
+        "share of that excess up to which the effect may leave some before it is linearised about itself: chosen, not derived",
+    )
+    partner: float = _limit(
+        0.1,
+        "share of the best score beside a first effect from which a second is refitted: chosen, not derived",
+    )
+    hopeless: float = _limit(
+        0.25,
+        "share of what the first leaves over below which the best second is not followed further: chosen, not derived",
+    )
+    nearly: float = _limit(
+        0.25,
+        "excess, in what the best pair leaves, by which a pair may miss it and still be worth an exchange: chosen, not derived",
+    )
+    # of the decision
+    stable: float = _limit(
+        2.5, "factor in size up to which folds find that an effect does the same: chosen, not derived"
+    )
+    stable_cosine: float = _limit(
+        0.7, "cosine of what it does in two folds from which that is the same: chosen, not derived"
+    )
+    within_k: float = _limit(
+        0.5,
+        "kelvins beyond the temperatures of the training blocks up to which a held-out sample is judged: chosen, not derived",
+    )
+    flat_samples: int = _limit(
+        20,
+        "samples beyond a limit of a channel from which it is asked whether they are flat: chosen, not derived",
+    )
+    mimic: float = _limit(
+        0.5,
+        "share of the most that an effect saves of a move of the constants from which another would look like it: half of it",
+    )
+    alone_most: int = _limit(
+        3, "constants at most that are told to have moved by themselves: chosen, not derived"
+    )
+    alone_lag: float = _limit(
+        1.0,
+        "sample periods that the lag of a drive which heats nothing must have moved by: how it goes on between samples is not "
+        "known",
+    )
+    unnamed: float = _limit(
+        0.2,
+        "excess power of a channel, in noise powers, from which a correction without a name is sought: chosen, not derived",
+    )
+    unnamed_share: float = _limit(
+        0.03, "share of that excess that a group of its functions must remove: chosen, not derived"
+    )
+    unnamed_gain: float = _limit(
+        30.0, "energy, in noise powers of a sample, that it must remove as well: chosen, not derived"
+    )
+    tone: float = _limit(
+        30.0, "times the median of the spectrum from which a line of it is a tone: chosen, not derived"
+    )
+    # of what is told
+    likelier: float = _limit(
+        0.5,
+        "probability from which a name, or what has none, is likelier than all else: one half, by its meaning",
+    )
+    left_here: float = _limit(
+        2.0,
+        "so many times its chi-square may an explanation leave in the problem without effects to be compared with others there: "
+        "chosen, not derived",
+    )
+    decade: float = _limit(
+        0.01, "decades by which a gain may miss a power of ten and be taken for it: 2 %; chosen, not derived"
+    )
+    one_by_one: float = _limit(
+        10.0,
+        "times the least excess of a recording, at least `excess`, from which another's says that they differ: chosen, not "
+        "derived",
+    )
+    misfitted: float = _limit(
+        1.5,
+        "times a sensor's noise from which what is taken for noise holds misfit of the calibration too: chosen, not derived",
+    )
+    worth: float = _limit(
+        0.05,
+        "least share of the excess that terms without a name must remove on held-out blocks, and that a later model must leave "
+        "less, to be written down: chosen, not derived",
+    )
+    by_itself: float = _limit(
+        1.5,
+        "what a corrected model leaves, over what the diagnosis does, from which it is told: chosen, not derived",
+    )
+
     def probability_of_something_else(self, sigmas: float, left: float) -> float:
         """Return the probability that an explanation is wrong.
 

@@ -26,14 +26,8 @@ __all__ = ["Located", "locate"]
 Floats = NDArray[np.float64]
 SETTLED, SETTLED_BESIDE = 0.002, 0.02
 """Relative drop of chi-square with which moving the constants further ends: by themselves, and beside a large effect."""
-BESIDE = 5.0
-"""Chi-square over samples from which constants follow an effect that is no move of them, and are not sought further."""
-WENT = 10.0
-"""Move of a constant, in units of what the simulation is linear over, from which the way to it may have led astray."""
-BETTER = 0.5
-"""Share that a constant by itself may leave to be moved to, of the squared residual, and then of the excess."""
-FLAT = 10.0
-"""Change of chi-square that is none."""
+STAYS = 0.7
+"""Step, in units of what the simulation is linear over, below which constants stay."""
 SLOW, FURTHER = 3, 0.25
 """Steps from which the way as a whole is gone further, and by which share of it."""
 
@@ -153,7 +147,7 @@ def _relinearise_constants(
     start = problem
 
     def beside() -> bool:
-        return problem.residual_chi_square > BESIDE * problem.count
+        return problem.residual_chi_square > limits.beside * problem.count
 
     def about(shift: Floats) -> LinearisedProblem:
         # columns of the start: those of a step before would be kept while the path is still near it
@@ -177,7 +171,7 @@ def _relinearise_constants(
     for _ in range(rounds):
         target = np.clip(problem.fit_nuisance(problem.residual)[-problem.origin.size :], -most, most)
         step = target - problem.origin
-        if problem.curved(step) < 0.7:
+        if problem.curved(step) < STAYS:
             break
         trials = [target] if beside() else [target, problem.origin + 0.5 * step]
         if before is not None and not beside():
@@ -187,9 +181,9 @@ def _relinearise_constants(
         for trial in trials:
             moved = about(trial)
             drop = problem.residual_chi_square - moved.residual_chi_square
-            if drop > -FLAT:
+            if drop > -limits.unchanged:
                 break
-        if drop <= FLAT:
+        if drop <= limits.unchanged:
             break
         targets.append(target)
         before, problem = step, moved
@@ -197,7 +191,7 @@ def _relinearise_constants(
             break
     while len(targets) >= SLOW and not beside():
         moved = about(problem.origin + FURTHER * (problem.origin - targets[0]))
-        if problem.residual_chi_square - moved.residual_chi_square <= FLAT:
+        if problem.residual_chi_square - moved.residual_chi_square <= limits.unchanged:
             break
         problem = moved
     return problem
@@ -212,12 +206,12 @@ def _about_one_constant(
     for an effect, a laser that heats all the time for one.
     """
     left = problem.residual_chi_square / problem.count
-    far = left > BESIDE or (left > 1.0 + limits.slack and problem.curved(problem.origin) > WENT)
+    far = left > limits.beside or (left > 1.0 + limits.slack and problem.curved(problem.origin) > limits.went)
     if problem.refits or not far or not nominal.model.description.has_body:
         return problem
     clock.say("moving constants one by one")
     shift, share = nearest_constant(problem)
-    if share > BETTER:
+    if share > limits.better:
         return problem
     there = linearise_problem(
         nominal,
@@ -229,7 +223,7 @@ def _about_one_constant(
     )
     there = _relinearise_constants(nominal, there, limits, clock)
     # where much is left it is an effect, beside which a constant would stand for a part of it
-    most = min(BESIDE, 1.0 + BETTER * (left - 1.0))
+    most = min(limits.beside, 1.0 + limits.better * (left - 1.0))
     return there if there.residual_chi_square < most * there.count else problem
 
 
@@ -252,7 +246,7 @@ def _refine_noise_model(
         if any(problem.misfit_in(row) for row in rows):
             continue  # the rest of a misfit is no noise
         power = [float(np.mean(left[row.where][problem.weight[row.where] > 0] ** 2)) for row in rows]
-        if not all(0.3 < p < limits.quiet for p in power):
+        if not all(limits.quiet_from < p < limits.quiet for p in power):
             continue
         if (
             channel == HEATER_CURRENT
@@ -266,7 +260,7 @@ def _refine_noise_model(
         found = fit_noise(
             np.concatenate(plain), np.concatenate([problem.weight[row.where] > 0 for row in rows])
         )
-        if 0.5 < found.level / known.level < 1.6:
+        if limits.noise_least < found.level / known.level < limits.noise_most:
             noise[channel] = found
     if noise == dict(nominal.noise) and parts is problem.parts:
         return nominal, problem

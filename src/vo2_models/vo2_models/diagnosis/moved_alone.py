@@ -21,8 +21,6 @@ from vo2_models.diagnosis.problem import LinearisedProblem
 __all__ = ["left_by", "moved_alone", "nearest_constant"]
 
 Floats = NDArray[np.float64]
-MOST = 3
-"""Constants that are tried together."""
 _TRIED, _ROUNDS, _HALVES = 3, 6, 4
 """Constants tried at each place, steps of each search, and halvings of a step that leads nowhere."""
 _ENOUGH = 1e-3
@@ -30,8 +28,6 @@ _ENOUGH = 1e-3
 _LAGS = ("thermal.time_constant", "driver.dead_time")
 _LONGER = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 """Multiples of a lag from which it is searched too: one far below a sample changes nothing by small steps."""
-_SEEN = 1.0
-"""Sample periods that the lag of a drive which heats nothing must have moved by: how it goes on between samples is not known."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +140,7 @@ def moved_alone(problem: LinearisedProblem, limits: Limits, *, rival: float = 0.
     Parameters
     ----------
     problem : without effects
-    limits : `alone`, `alone_from`, `alone_gain`, `alone_misfit`, `rival` and `sigmas`
+    limits : `alone`, `alone_from`, `alone_gain`, `alone_lag`, `alone_misfit`, `alone_most`, `rival` and `sigmas`
     rival : squared residual that an effect in their place leaves with the same loops and no constant moved; what leaves
         little more, by `alone_beside`, explains as well
 
@@ -187,7 +183,7 @@ def moved_alone(problem: LinearisedProblem, limits: Limits, *, rival: float = 0.
         return None
     places: list[int] = []
     alone: Drift | None = None
-    while len(places) < MOST:
+    while len(places) < limits.alone_most:
         others = [k for k in free if k not in places]
         likely = search.likely(shift, others, here)
         trials = [(*searched(shift, [*places, k]), [*places, k]) for k in likely]
@@ -197,7 +193,7 @@ def moved_alone(problem: LinearisedProblem, limits: Limits, *, rival: float = 0.
         variance = np.diag(drift.covariance)
         # a constant that changes nothing here has no deviation, and has not moved
         surely = np.all((drift.steps**2 >= limits.sigmas**2 * variance) & (variance > 0.0)) and _seen(
-            problem, drift
+            problem, drift, limits
         )
         if least > (1.0 - limits.alone_gain) * (here @ here) or not surely:
             break
@@ -213,11 +209,11 @@ def moved_alone(problem: LinearisedProblem, limits: Limits, *, rival: float = 0.
     return _with_free_loops(problem, alone)
 
 
-def _seen(problem: LinearisedProblem, drift: Drift) -> bool:
+def _seen(problem: LinearisedProblem, drift: Drift, limits: Limits) -> bool:
     """Whether each lag, on a device without body, has moved by what samples can show."""
     if problem.nominal.model.description.has_body:
         return True
-    least = _SEEN * min(part.dt for part in problem.parts)
+    least = limits.alone_lag * min(part.dt for part in problem.parts)
     lags = [
         abs(step) * c.spread for c, step in zip(drift.constants, drift.steps, strict=True) if c.name in _LAGS
     ]

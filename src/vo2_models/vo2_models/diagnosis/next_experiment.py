@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device import preset, surrogate_of_temperature
-from vo2_models.diagnosis.explain import Explanation
+from vo2_models.diagnosis.explain import A_STEP, Explanation
 from vo2_models.diagnosis.hypotheses import Hypothesis
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nominal import Nominal
@@ -277,7 +277,7 @@ def _predicted(
         moved = [dict(v) for v in second.values]
         moved[k][name] = hypothesis.moved(name, second.values[k][name], 1.0)
         actual = hypothesis.distance(name, second.values[k][name], moved[k][name])
-        if abs(actual) < 0.1:
+        if abs(actual) < A_STEP:
             moved[k][name] = hypothesis.moved(name, second.values[k][name], -1.0)
             actual = hypothesis.distance(name, second.values[k][name], moved[k][name])
         merged: dict[str, dict[str, float | str]] = {}

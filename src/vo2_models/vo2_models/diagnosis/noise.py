@@ -23,6 +23,10 @@ LONGEST = 4
 ALONE = 8.0
 """Robust deviations, of the distance from the line between both neighbours, from which a sample stands alone: the ten about one
 are too few to tell less from noise that grows with the signal."""
+COMB, AGREE = 3.0, 0.5
+"""Steps of a converter from which a sample stands alone, and share of that distance by which its neighbours may differ."""
+FEWEST = 50
+"""Samples from which a noise has a colour."""
 ABOUT = 11
 """Samples, itself among them, from which is seen what is usual about one."""
 FEW_ABOUT, CLOSE = 7, 0.1
@@ -178,8 +182,8 @@ def outliers(residual: Floats, step: float = 0.0, course: Floats | None = None) 
     x = residual[known]
     off = np.abs(x[1:-1] - 0.5 * (x[:-2] + x[2:]))
     usual = np.maximum(np.median(off), median_filter(off, ABOUT, mode="nearest")) / 0.674490
-    far = off > np.maximum(ALONE * usual, 3.0 * step)
-    single = far & (np.abs(x[2:] - x[:-2]) < 0.5 * off)
+    far = off > np.maximum(ALONE * usual, COMB * step)
+    single = far & (np.abs(x[2:] - x[:-2]) < AGREE * off)
     if course is not None:
         low, high = minimum_filter1d(course, NEAR_BY), maximum_filter1d(course, NEAR_BY)
         motion = high - low
@@ -187,15 +191,15 @@ def outliers(residual: Floats, step: float = 0.0, course: Floats | None = None) 
         shown, margin = course[here] + (x[1:-1] - 0.5 * (x[:-2] + x[2:])), ALONE * usual
         late = single & (shown >= low[here] - margin) & (shown <= high[here] + margin)
         # what reads late reads late at every edge
-        edges = np.count_nonzero(np.diff((moves > np.maximum(ALONE * usual, 3.0 * step)).astype(int)) == 1)
+        shows = moves > np.maximum(ALONE * usual, COMB * step)
+        edges = np.count_nonzero(np.diff(shows.astype(int)) == 1)
         if np.count_nonzero(late) > SELDOM * edges:
             single &= ~late
         # two together, or near each other, are each other's neighbours: they are far from what most of those about them are,
         # and away from edges no answer of the device is as short
         away = np.abs(x - median_filter(x, FEW_ABOUT, mode="nearest"))
-        apart = away > np.maximum(
-            ALONE * np.median(off) / 0.674490, np.maximum(3.0 * step, 2.0 * motion[known])
-        )
+        all_over = np.median(off) / 0.674490
+        apart = away > np.maximum(ALONE * all_over, np.maximum(COMB * step, 2.0 * motion[known]))
         alone[known] = apart & (median_filter(away, FEW_ABOUT, mode="nearest") < CLOSE * away)
     alone[known[1:-1]] |= single
     return alone if np.mean(alone) <= RARE else np.zeros_like(alone)
@@ -218,11 +222,11 @@ def fit_noise(
 
     Raises
     ------
-    ValueError : fewer than 50 valid samples.
+    ValueError : fewer than `FEWEST` valid samples.
     """
     keep = np.isfinite(residual) if valid is None else valid & np.isfinite(residual)
-    if np.count_nonzero(keep) < 50:
-        raise ValueError(f"residual: found {np.count_nonzero(keep)} valid samples, need at least 50")
+    if np.count_nonzero(keep) < FEWEST:
+        raise ValueError(f"residual: found {np.count_nonzero(keep)} valid samples, need at least {FEWEST}")
     x = np.where(keep, residual, 0.0)
     spread = 1.4826 * float(np.median(np.abs(x[keep] - np.median(x[keep]))))
     if spread > 0:

@@ -65,6 +65,8 @@ REACH = 4.0
 """Standard deviations of the centre on both sides that another basis reaches over."""
 FAR = 1e15
 """Value at which a simulation that runs away is held: beyond those of any instrument, also in pascals or counts."""
+REPEATS = 1e-6
+"""Share of its range up to which a logged current only repeats the command."""
 _LEAST = 1e-30
 """Value below which no logarithm is taken: below those of any response, also of a capacitance in farad."""
 THERMAL = {
@@ -111,7 +113,7 @@ def drive_of(recording: Recording) -> tuple[Floats, bool]:
     command = np.where(np.isfinite(command), command, logged)
     both = np.isfinite(logged)
     scale = max(float(np.ptp(command[both])), 1e-12) if np.any(both) else 1.0
-    own = bool(np.any(np.abs(logged[both] - command[both]) > 1e-6 * scale))
+    own = bool(np.any(np.abs(logged[both] - command[both]) > REPEATS * scale))
     return held(command), own
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter, welch
 
 from vo2_models.diagnosis.breakdown import turning_points
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nominal import Response
 from vo2_models.diagnosis.part import Part
 from vo2_models.diagnosis.problem import LinearisedProblem, Row
@@ -66,7 +67,12 @@ class NonparametricCorrection:
 
 
 def fit_nonparametric_correction(
-    problem: LinearisedProblem, residual: Floats, folds: list[NDArray[np.bool_]], *, most: int = 4
+    problem: LinearisedProblem,
+    residual: Floats,
+    folds: list[NDArray[np.bool_]],
+    limits: Limits,
+    *,
+    most: int = 4,
 ) -> NonparametricCorrection:
     """Choose groups of functions greedily for each channel, judged on held-out blocks.
 
@@ -75,6 +81,7 @@ def fit_nonparametric_correction(
     problem : the problem
     residual : (N,) whitened, nuisance model taken out
     folds : held-out masks (N,), which partition the samples
+    limits : when a channel has an excess, a group is worth it, and a line is a tone
     most : groups per channel
 
     Returns
@@ -92,12 +99,12 @@ def fit_nonparametric_correction(
         count = int(np.count_nonzero(use))
         energy = float(np.sum(target[use] ** 2))
         excess = energy - count
-        if excess < 0.2 * count:
+        if excess < limits.unnamed * count:
             before, after = before + energy - count, after + energy - count
             continue
         groups = {
             name: (words, problem.apply_inverse_covariance_in(problem.rows_of(channel), block))
-            for name, (words, block) in _groups(problem, own, residual).items()
+            for name, (words, block) in _groups(problem, own, residual, limits).items()
         }
         chosen: list[tuple[str, str, float, float]] = []
         columns = np.zeros((place.size, 0))
@@ -114,7 +121,7 @@ def fit_nonparametric_correction(
                 break
             name = min(trials, key=lambda n: trials[n][0])
             found, guess, words, candidate = trials[name]
-            if best_energy - found < max(0.03 * excess, 30.0):
+            if best_energy - found < max(limits.unnamed_share * excess, limits.unnamed_gain):
                 break
             share = min((best_energy - found) / excess, 1.0)  # by chance it may leave less than noise
             chosen.append((name, words, share, float(np.sqrt(np.mean((guess - best)[use] ** 2)))))
@@ -144,7 +151,9 @@ def _cross_predicted(
     return out
 
 
-def _groups(problem: LinearisedProblem, rows: list[Row], residual: Floats) -> dict[str, tuple[str, Floats]]:
+def _groups(
+    problem: LinearisedProblem, rows: list[Row], residual: Floats, limits: Limits
+) -> dict[str, tuple[str, Floats]]:
     """Blocks of columns, whitened like the channel, for all of its recordings stacked."""
     builders: dict[str, tuple[str, Callable[[Part, Response, Row], Floats]]] = {
         "value": ("the channel's own value (a sensor that is not linear)", _of_value),
@@ -175,7 +184,7 @@ def _groups(problem: LinearisedProblem, rows: list[Row], residual: Floats) -> di
             "a temperature that changes with time by itself: something else heats",
             np.concatenate(slow) * heat[:, None],
         )
-    tone = _tone(problem, rows, residual)
+    tone = _tone(problem, rows, residual, limits)
     if tone and heat is not None:
         waves = []
         for row in rows:
@@ -210,7 +219,7 @@ def _felt_temperature(problem: LinearisedProblem, rows: list[Row]) -> Floats | N
     return np.asarray(column[place])
 
 
-def _tone(problem: LinearisedProblem, rows: list[Row], residual: Floats) -> float:
+def _tone(problem: LinearisedProblem, rows: list[Row], residual: Floats, limits: Limits) -> float:
     """Frequency [Hz] of a line that stands out of the spectrum, refined to a tenth of a bin, else 0."""
     row = max(rows, key=lambda r: problem.parts[r.part].size)
     part = problem.parts[row.part]
@@ -222,7 +231,7 @@ def _tone(problem: LinearisedProblem, rows: list[Row], residual: Floats) -> floa
     if first >= power.size:
         return 0.0
     k = int(np.argmax(power[first:])) + first
-    if power[k] < 30 * floor:
+    if power[k] < limits.tone * floor:
         return 0.0
     fine = frequency[k] + np.linspace(-1.5, 1.5, 61) * (frequency[1] - frequency[0])
     phase = np.exp(-2j * np.pi * np.outer(fine, part.time_s - part.time_s[0]))

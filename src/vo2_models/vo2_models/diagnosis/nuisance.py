@@ -30,11 +30,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Coverage:
-    """Temperatures at which the calibration has been, kelvin by kelvin.
+    """Temperatures at which the calibration has been, bin by bin.
 
     Attributes
     ----------
-    edges : (m + 1,) of the kelvins [degC]
+    edges : (m + 1,) of the bins [degC]
     enough : (m,) whether the calibration has been there for some samples
     """
 
@@ -53,8 +53,22 @@ class Coverage:
         return ", ".join(f"{low:.0f} to {high:.0f}" for low, high in ends) + " degC"
 
 
-def coverage(nominal: Nominal, *, samples: float = 8.0) -> Coverage:
-    """Return the kelvins in which the calibration has `samples` samples.
+ENOUGH = 8.0
+"""Least number of samples in a bin that is covered."""
+PER_BIN = 4.0 * ENOUGH
+"""Samples in a bin on average, below which a bin is wider than a kelvin: of few samples none would be covered otherwise."""
+
+
+def _bins(low: float, high: float, count: float) -> Floats:
+    """Edges (m + 1,) of bins from low to high [degC] for so many samples: whole kelvins where these are enough."""
+    width = max(1.0, PER_BIN * (high - low) / max(count, 1.0))
+    if width == 1.0:
+        return np.arange(np.floor(low), np.ceil(high) + 1.0)
+    return np.linspace(low, high, max(int((high - low) / width), 1) + 1)
+
+
+def coverage(nominal: Nominal) -> Coverage:
+    """Return the bins in which the calibration has enough samples.
 
     Elsewhere, on the way from a cold rest for instance, the fitted loops are a guess, and a recording that differs there
     says nothing about the device. The rest itself says much: no current, no heat. Everything is covered where the
@@ -63,32 +77,31 @@ def coverage(nominal: Nominal, *, samples: float = 8.0) -> Coverage:
     Parameters
     ----------
     nominal : fitted simulation with the digest of its calibration
-    samples : least number in a kelvin
     """
     digest = nominal.digest
     if digest is None or not preset(nominal.device).has_body:
         return Coverage(np.array([-np.inf, np.inf]), np.ones(1, dtype=bool))
     low = np.minimum(digest.temperature[1:], digest.temperature[:-1])
     high = np.maximum(digest.temperature[1:], digest.temperature[:-1])
-    edges = np.arange(np.floor(low.min()), np.ceil(high.max()) + 1.0)
+    edges = _bins(float(low.min()), float(high.max()), float(digest.count.sum()))
     high = np.maximum(high, low + 1e-6)  # at rest
     # a block's samples, spread evenly over its temperatures
     shares = np.minimum(high[:, None], edges[1:]) - np.maximum(low[:, None], edges[:-1])
     shares = np.maximum(shares, 0.0) / (high - low)[:, None]
-    return Coverage(edges, digest.count @ shares >= samples)
+    return Coverage(edges, digest.count @ shares >= ENOUGH)
 
 
-def coverage_of(paths: Sequence[Floats], *, samples: float = 8.0) -> Coverage:
-    """Return the kelvins in which recordings have `samples` samples on average.
+def coverage_of(paths: Sequence[Floats]) -> Coverage:
+    """Return the bins in which recordings have enough samples on average.
 
     Parameters
     ----------
     paths : temperatures (n,) of each recording [degC]
-    samples : least number in a kelvin
     """
     every = np.concatenate(paths)
-    edges = np.arange(np.floor(every.min()), np.floor(every.max()) + 2.0)
-    return Coverage(edges, np.histogram(every, edges)[0] >= samples * len(paths))
+    low, high = float(every.min()), float(every.max())
+    edges = _bins(low, np.nextafter(high, np.inf), every.size / len(paths))
+    return Coverage(edges, np.histogram(every, edges)[0] >= ENOUGH * len(paths))
 
 
 @dataclass(frozen=True)
@@ -270,9 +283,9 @@ def _drifting(nominal: Nominal) -> list[Constant]:
         section, _, what = name.partition(".")
         if section in ("thermal", "driver"):
             value = model.scalars[name]
-            if value == 0.0:
-                continue
             size = spread if name == "thermal.ambient" else abs(value) * spread
+            if size == 0.0:
+                continue
         else:
             if not getattr(model, section).present:
                 continue

@@ -27,6 +27,8 @@ SHOWN = {
     STAGE_TEMPERATURE: ("stage temperature", "residual of\ntemperature / K", 1.0),
     HEATER_CURRENT: ("heater current", "residual of\ncurrent / mA", 1e3),
 }
+SPANS = 4
+"""Stretches of time that are written out."""
 UNITS = {RESISTANCE: "ohm", TIP_DEFLECTION: "m", STAGE_TEMPERATURE: "degC", HEATER_CURRENT: "A"}
 """Those for which the labels above are written."""
 BEFORE, AFTER, NOISE = "#D55E00", "#0072B2", "#999999"
@@ -138,7 +140,8 @@ def _where(study: Study, diagnosis: Diagnosis) -> str:
             if p.temperature_degC is None
             else f"{p.temperature_degC[0]:.1f} to {p.temperature_degC[1]:.1f}",
             f"{p.frequency_hz[0]:.3g} to {p.frequency_hz[1]:.3g}",
-            ", ".join(f"{a:.4g}-{b:.4g}" for a, b in p.time_s[:4]) + (" ..." if len(p.time_s) > 4 else ""),
+            ", ".join(f"{a:.4g}-{b:.4g}" for a, b in p.time_s[:SPANS])
+            + (" ..." if len(p.time_s) > SPANS else ""),
         )
         for p in diagnosis.location
     ]

@@ -38,20 +38,14 @@ PARTNERS = 5
 """Effects that are refitted beside another, the most promising ones."""
 BRIEF_BESIDE = 2
 """Iterations after which a refit beside another effect shows whether it is worth going on."""
-HOPELESS = 0.25
-"""Share of what the first leaves over below which the best second is not followed further: no pair is found then."""
 EXCHANGES = 3
 """So often one of the two is tried anew beside the other."""
-NEARLY = 0.25
-"""Excess, in what the best pair leaves, by which a pair may miss it and still be worth an exchange."""
 REFITS = 5
 """So often, at most, the nominal device is linearised about what a refit made of it."""
 SETTLES = 2e-3
 """Drop of chi-square, in noise powers, that ends these refits."""
 FAR = 1.0
 """Move of a constant, in units of what the simulation is linear over, from which an effect is also fitted with none moved."""
-MUCH = 0.1
-"""Excess power, in noise powers, that it must leave for that: the level of a noise is known to as much."""
 FREE = 20.0
 """Standard deviation with which the parameters of the other may move while partners are scored, in their steps."""
 
@@ -94,6 +88,7 @@ def option_of(
     problem: LinearisedProblem,
     best: Explanation,
     rivals: Sequence[Explanation],
+    limits: Limits,
     *,
     tick: Tick = lambda: None,
 ) -> Option:
@@ -105,15 +100,21 @@ def option_of(
     problem : the problem about the simulation without effects, which gains are told against
     best : the explanation
     rivals : what else was tried
+    limits : when a bound matters
     tick : called once per simulation
     """
-    final, chosen = refit_about(nominal, problem, best, tick=tick)
+    final, chosen = refit_about(nominal, problem, best, limits, tick=tick)
     remaining = final.chi_square(final.residual - chosen.deviation) / final.count - 1.0
     return Option(final, chosen, tuple(rivals), remaining)
 
 
 def refit_about(
-    nominal: Nominal, problem: LinearisedProblem, best: Explanation, *, tick: Tick = lambda: None
+    nominal: Nominal,
+    problem: LinearisedProblem,
+    best: Explanation,
+    limits: Limits,
+    *,
+    tick: Tick = lambda: None,
 ) -> tuple[LinearisedProblem, Explanation]:
     """Build the problem about an explanation, with the same constants, and fit it once more there; return both.
 
@@ -122,6 +123,7 @@ def refit_about(
     nominal : without corrections
     problem : about the simulation without effects, which the gain is told against
     best : the explanation
+    limits : when a bound matters
     tick : called once per simulation
     """
 
@@ -147,8 +149,8 @@ def refit_about(
             courses=courses,
         )
         there = with_courses(there, [h for h in best.hypotheses if h.key in best.courses], tuple(held))
-        fit = fit_jointly(there, best.hypotheses, fit.values, iterations=6, tick=tick)
-        return there, either_way(there, fit, tick=tick)
+        fit = fit_jointly(there, best.hypotheses, fit.values, limits, iterations=6, tick=tick)
+        return there, either_way(there, fit, limits, tick=tick)
 
     followed = [h for h in best.hypotheses if h.key in best.courses and h.record.takes_course][:1]
     held = constants_like(problem, followed[0]) if followed else {}
@@ -158,7 +160,7 @@ def refit_about(
         # fitted with constants as the calibration left them, perhaps: those that drift come last
         shift = np.pad(again.shift, (0, problem.origin.size - again.shift.size))
         tried = [about(shift, again, final)]
-        much = tried[0][1].chi_square > (1.0 + MUCH) * tried[0][0].count
+        much = tried[0][1].chi_square > (1.0 + limits.least) * tried[0][0].count
         if not turn and much and problem.curved(shift) > FAR and not problem.refits:
             # constants that went far to stand for the effect need not find back
             tried.append(about(np.zeros_like(shift), again, final))
@@ -203,7 +205,7 @@ def pair_of(
     found = [(about, joint) for joint in _joined(about, first, candidates, limits, tick)]
     if not found:
         return None
-    if before - found[0][1].chi_square < HOPELESS * (before - about.count):
+    if before - found[0][1].chi_square < limits.hopeless * (before - about.count):
         return None
     waiting = _untried([joint for _, joint in found], about.count, limits)
     tried = {first.keys[0]}
@@ -213,8 +215,8 @@ def pair_of(
         if key is None:
             break
         tried.add(key)
-        one = fit_jointly(problem, *waiting[key], iterations=BRIEF, tick=tick)
-        there, kept = refit_about(nominal, problem, one, tick=tick)
+        one = fit_jointly(problem, *waiting[key], limits, iterations=BRIEF, tick=tick)
+        there, kept = refit_about(nominal, problem, one, limits, tick=tick)
         fresh = _joined(there, kept, candidates, limits, tick)
         found += [(there, joint) for joint in fresh]
         waiting |= _untried(fresh, about.count, limits)
@@ -228,7 +230,7 @@ def pair_of(
         return None
     rivals = {frozenset(joint.keys): joint for _, joint in reversed(found)}
     ranked = sorted(rivals.values(), key=lambda e: e.chi_square)
-    return option_of(nominal, problem, best, ranked, tick=tick)
+    return option_of(nominal, problem, best, ranked, limits, tick=tick)
 
 
 def _untried(
@@ -236,7 +238,9 @@ def _untried(
 ) -> dict[str, tuple[list[Hypothesis], list[dict[str, float]]]]:
     """Each effect of the best of these pairs and of those that nearly reach it, alone: key -> hypothesis and values."""
     lowest = joints[0].chi_square if joints else 0.0
-    near = [j for j in joints if j.chi_square < lowest + NEARLY * max(lowest - count, 0.0) + limits.rival]
+    near = [
+        j for j in joints if j.chi_square < lowest + limits.nearly * max(lowest - count, 0.0) + limits.rival
+    ]
     alone: dict[str, tuple[list[Hypothesis], list[dict[str, float]]]] = {}
     for joint in near:
         for key, hypothesis, values in zip(joint.keys, joint.hypotheses, joint.values, strict=True):
@@ -261,12 +265,12 @@ def _joined(
     free = [FREE * first.tangent, *([] if about.nuisance.courses is None else [about.nuisance.courses])]
     nuisance = replace(about.nuisance, courses=np.hstack(free))
     scores = score(replace(about, nuisance=nuisance), others, residual, tick=tick)
-    promising = [s for s in scores if s.gain > max(limits.gain, 0.1 * scores[0].gain)][:PARTNERS]
+    promising = [s for s in scores if s.gain > max(limits.gain, limits.partner * scores[0].gain)][:PARTNERS]
 
     def refitted(s: Score) -> Explanation:
         start = switched(about, s.hypothesis, s.start, residual, tick=tick)
         both, values = [*first.hypotheses, s.hypothesis], [*first.values, start]
-        return fit_jointly(about, both, values, iterations=BRIEF_BESIDE, tick=tick)
+        return fit_jointly(about, both, values, limits, iterations=BRIEF_BESIDE, tick=tick)
 
     joints = parallel_map(refitted, promising)
     lowest = min((joint.chi_square for joint in joints), default=0.0)
@@ -275,7 +279,7 @@ def _joined(
     def finished(joint: Explanation) -> Explanation:
         if joint.chi_square > halfway:  # those that may be the answer, or its rivals, to the end
             return joint
-        return fit_jointly(about, joint.hypotheses, joint.values, iterations=8, tick=tick)
+        return fit_jointly(about, joint.hypotheses, joint.values, limits, iterations=8, tick=tick)
 
     joints = parallel_map(finished, joints)
     return sorted((j for j in joints if not j.at_bound), key=lambda e: e.chi_square)

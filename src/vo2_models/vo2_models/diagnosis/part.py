@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device import preset
-from vo2_models.diagnosis.check import SHORTEST
 from vo2_models.diagnosis.current_reading import as_commanded
 from vo2_models.diagnosis.nominal import Nominal, drive_of, judged
 from vo2_models.effects import effects
@@ -32,6 +31,8 @@ from vo2_models.recording import (
 __all__ = ["Part", "prepare"]
 
 Floats = NDArray[np.float64]
+FEWEST = 25
+"""Samples from which a channel is compared, and a reading is judged."""
 BLIND = 3
 """Missing samples in a row after which the memory of the loops may be another."""
 FLAT = 0.01
@@ -158,12 +159,12 @@ def prepare(recording: Recording, nominal: Nominal, *, name: str = "recording") 
         if channel == HEATER_CURRENT and nominal.digest:
             values = as_commanded(values, nominal.digest.current_reading)
         good = np.isfinite(values)
-        if np.count_nonzero(good) < SHORTEST // 2:
+        if np.count_nonzero(good) < FEWEST:
             continue
         observed[channel] = np.where(good, values, 0.0)
         valid[channel] = good
     if not observed:
-        raise ValueError(f"{name}: no channel has {SHORTEST // 2} finite samples")
+        raise ValueError(f"{name}: no channel has {FEWEST} finite samples")
     comb = {}
     for channel in observed:
         values = recording[channel][valid[channel]]
@@ -191,7 +192,7 @@ def _reads_whole_periods(recording: Recording) -> bool:
     placed, late = in_order(recording.with_unread())
     off = (placed[HEATER_CURRENT] - placed[COMMANDED_CURRENT]) ** 2
     early, after = (off[np.isfinite(off) & side] for side in (late < 0.0, late > 0.0))
-    if min(early.size, after.size) < SHORTEST // 2:
+    if min(early.size, after.size) < FEWEST:
         return False
     return bool(max(early.mean(), after.mean()) < WHOLE * min(early.mean(), after.mean()))
 
@@ -255,10 +256,12 @@ def _turns(logged: Floats, samples: int) -> bool:
     beyond = np.maximum(
         windows.max(axis=1) - np.maximum(first, last), np.minimum(first, last) - windows.min(axis=1)
     )
-    return not np.quantile(beyond, 0.9) < BEYOND * np.ptp(known)
+    often = np.quantile(beyond, 0.9)
+    return not often < BEYOND * np.ptp(known)
 
 
 def _wanders(logged: Floats, samples: int) -> bool:
     """Whether a drive with no body behind it moves by more than `AWAY` of its range in so many samples, one time in ten."""
     moves = np.abs(logged[samples:] - logged[:-samples])
-    return not np.nanquantile(moves, 0.9) < AWAY * (np.nanmax(logged) - np.nanmin(logged))
+    often = np.nanquantile(moves, 0.9)
+    return not often < AWAY * (np.nanmax(logged) - np.nanmin(logged))

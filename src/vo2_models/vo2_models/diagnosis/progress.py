@@ -10,9 +10,12 @@ __all__ = ["Clock", "Progress"]
 Progress = Callable[[float, str], None]
 """Called with the share done, 0 to 1, and what is being done."""
 
+EVERY = 16
+"""Simulations from one report to the next."""
+
 
 class Clock:
-    """Counts simulations, reports every sixteenth.
+    """Counts simulations, reports one in `EVERY`.
 
     Attributes
     ----------
@@ -33,5 +36,5 @@ class Clock:
         """Count one simulation."""
         with self.lock:  # fits run in parallel
             self.done += 1
-            if self.done % 16 == 0:
+            if self.done % EVERY == 0:
                 self.report(min(self.done / self.expected, 0.99), self.text)

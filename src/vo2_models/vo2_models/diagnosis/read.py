@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from vo2_models.diagnosis.breakdown import one_loop
-from vo2_models.diagnosis.check import SHORTEST, Finding, Unusable, check_recording
+from vo2_models.diagnosis.check import Finding, Unusable, check_recording
 from vo2_models.diagnosis.consistency import check_consistency
 from vo2_models.diagnosis.drift import Drift
 from vo2_models.diagnosis.evident import Evident, evident_effects, untold_steps, without_lines
@@ -42,8 +42,6 @@ STEP = 0.1
 """Step of a delay around its best, in sample periods."""
 MEMORY, BYTES_A_SAMPLE = 0.6, 45_000.0
 """Share of the machine's memory that a diagnosis may take, and what it was seen to take for a sample of 20 000 to 200 000."""
-DROPPED = 0.02
-"""Share of a channel's range by which the simulation is off 0 where a reading of exactly 0 is none."""
 EARLIEST = -3.0
 """Earliest answer before its command that is looked for, in sample periods."""
 ONE_LOOP = Finding(
@@ -147,7 +145,7 @@ def read(
             text = f"of {len(raw)} samples the first {len(recording)} are judged, as many as this machine's memory takes"
             more = "another stretch that begins at rest can be given as a recording of its own"
             findings.append(Finding("long", f"{name}: {text}; {more}"))
-        found = check_recording(recording, nominal, name=name)
+        found = check_recording(recording, nominal, limits, name=name)
         findings += found
         dead = {finding.leaves_out for finding in found}
         left = {c: values for c, values in recording.channels.items() if c not in dead}
@@ -157,24 +155,24 @@ def read(
     corrected = replace(nominal, corrections={c: s.fold() for c, s in shapes.items()})
     parts, stamps = _restamped(parts, corrected, limits)
     findings += stamps
-    started = [_detect_initial_state(part, corrected) for part in parts]
+    started = [_detect_initial_state(part, corrected, limits) for part in parts]
     started = [(_with_unevenness(part, response, nominal), response) for part, response in started]
     if not nominal.model.heats:
         started, unknown = _without_unknown_starts(started)
         findings += unknown
-    started, alone = _without_outliers(started)
+    started, alone = _without_outliers(started, limits)
     findings += alone
-    check_consistency(started, nominal, calibrations)
+    check_consistency(started, nominal, calibrations, limits)
     evident = evident_effects(started, corrected, limits, first_use=calibrations > 0)
     started, lines, swinging = without_lines(started, corrected, limits, first_use=calibrations > 0)
     findings += [Finding("swings", text) for text in swinging]
     if not calibrations:
-        findings += [Finding("steps", text) for text in untold_steps(parts, nominal, evident)]
-    parts, findings = _mask_after_gaps(started, nominal, findings)
+        findings += [Finding("steps", text) for text in untold_steps(parts, nominal, evident, limits)]
+    parts, findings = _mask_after_gaps(started, nominal, findings, limits)
     paths = [response.temperature for _, response in started]
     covered = coverage_of(paths) if calibrations else coverage(nominal)
-    parts, findings = _mask_uncovered(parts, paths, covered, tuple(shapes), findings)
-    repeating = one_loop(paths, [part.dt for part in parts])
+    parts, findings = _mask_uncovered(parts, paths, covered, tuple(shapes), findings, limits)
+    repeating = one_loop(paths, [part.dt for part in parts], limits)
     if repeating:
         findings = [*findings, ONE_LOOP]
     constants = refitted_constants(nominal) if calibrations else constants_of(nominal)
@@ -241,7 +239,8 @@ def _peaks_at(whole: float, part: Part, nominal: Nominal, limits: Limits) -> boo
     """Whether the delay that fits best is a whole sample period, by the parabola through three misfits."""
     low, middle, high = (_misfit(part, nominal, whole + step) for step in (-STEP, 0.0, STEP))
     bend = low - 2.0 * middle + high
-    return bend > 0.0 and abs(0.5 * STEP * (low - high) / bend) < limits.whole_period
+    off = 0.5 * STEP * (low - high)
+    return bend > 0.0 and abs(off / bend) < limits.whole_period
 
 
 def _misfit(part: Part, nominal: Nominal, delay: float) -> float:
@@ -263,7 +262,7 @@ def _shifted(current: Floats, delay: float) -> Floats:
     return np.ascontiguousarray((1.0 - share) * first + share * second)
 
 
-def _detect_initial_state(part: Part, nominal: Nominal) -> tuple[Part, Response]:
+def _detect_initial_state(part: Part, nominal: Nominal, limits: Limits) -> tuple[Part, Response]:
     """Take a recording as begun at its first current where that fits its first samples far better than a cold start.
 
     A drive that heats nothing was somewhere before: where it is first, for all that is known.
@@ -284,7 +283,7 @@ def _detect_initial_state(part: Part, nominal: Nominal) -> tuple[Part, Response]
             gap = gap[:first][good[:first]] - (np.median(after) if after.size else 0.0)
             miss += float(np.sum(np.minimum((gap / noise) ** 2, 1e6)))
         misses.append(miss)
-    if misses[1] < 0.2 * misses[0] - 100:
+    if misses[1] < limits.begun_at_rest * misses[0] - limits.begun_at_rest_by:
         return replace(part, settled=True), warm
     return part, cold
 
@@ -328,7 +327,7 @@ def _without_unknown_starts(
 
 
 def _without_outliers(
-    started: Sequence[tuple[Part, Response]],
+    started: Sequence[tuple[Part, Response]], limits: Limits
 ) -> tuple[list[tuple[Part, Response]], list[Finding]]:
     """Leave out single samples that are far from both of their neighbours, beside what the simulation says of all three.
 
@@ -340,7 +339,7 @@ def _without_outliers(
         for channel in (c for c in part.channels if c != HEATER_CURRENT):
             gap = np.where(valid[channel], part.observed[channel] - response.channels[channel], np.nan)
             step = float(np.sqrt(12.0) * np.max(part.comb_level(channel)))
-            dropped = _dropped(part, response, channel)
+            dropped = _dropped(part, response, channel, limits)
             if np.any(dropped):
                 valid[channel] = valid[channel] & ~dropped
                 first = stamp_in_words(part.time_s[np.argmax(dropped)])
@@ -367,7 +366,7 @@ def _without_outliers(
     return found, told
 
 
-def _dropped(part: Part, response: Response, channel: str) -> NDArray[np.bool_]:
+def _dropped(part: Part, response: Response, channel: str, limits: Limits) -> NDArray[np.bool_]:
     """Samples (n,) at which a channel jumps to exactly 0, where the simulation is far from it at most of them; else none.
 
     A range that ends at 0 is reached step by step.
@@ -378,16 +377,17 @@ def _dropped(part: Part, response: Response, channel: str) -> NDArray[np.bool_]:
         [part.valid[channel], *(one[channel] for one in part.flat.values() if channel in one)], axis=0
     )
     at_zero = read & (part.observed[channel] == 0.0)
-    beside = read & ~at_zero & (np.convolve(at_zero, np.ones(3), "same") > 0.0)
-    least = DROPPED * np.ptp(course)
+    near = np.convolve(at_zero, np.ones(3), "same")
+    beside = read & ~at_zero & (near > 0.0)
+    least = limits.dropped * np.ptp(course)
     for off in (np.abs(course[at_zero]), np.abs(part.observed[channel][beside])):
-        if not np.count_nonzero(off > least) > 0.5 * off.size:
+        if not np.count_nonzero(off > least) > limits.dropped_most * off.size:
             return np.zeros_like(at_zero)
     return at_zero
 
 
 def _mask_after_gaps(
-    started: Sequence[tuple[Part, Response]], nominal: Nominal, findings: Sequence[Finding]
+    started: Sequence[tuple[Part, Response]], nominal: Nominal, findings: Sequence[Finding], limits: Limits
 ) -> tuple[list[Part], list[Finding]]:
     """Leave out what follows a long gap until the loops have forgotten it: until the film was outside of them."""
     low, high = loop_ends(nominal.model)
@@ -403,7 +403,7 @@ def _mask_after_gaps(
         lost, count = lost + int(np.count_nonzero(~known)), count + part.size
     if not lost:
         return parts, list(findings)
-    if lost > 0.7 * count:
+    if lost > limits.forgotten * count:
         raise Unusable(
             f"recordings: after gaps the state of the loops is unknown for {lost} of {count} samples; record without "
             "gaps, or give the pieces between them as recordings of their own"
@@ -422,6 +422,7 @@ def _mask_uncovered(
     covered: Coverage,
     channels: Sequence[str],
     findings: Sequence[Finding],
+    limits: Limits,
 ) -> tuple[list[Part], list[Finding]]:
     """Leave out of these channels what happens at temperatures (n,) [degC] that are not covered."""
     parts, beyond, count = [], 0, 0
@@ -432,13 +433,13 @@ def _mask_uncovered(
         parts.append(replace(part, valid=valid))
     if not beyond:
         return parts, list(findings)
-    if count - beyond < SHORTEST // 2:
+    if count - beyond < limits.shortest // 2:
         raise Unusable(
             f"recordings: {beyond} of {count} samples are outside of {covered}, which is what the calibration covers; "
             "fit a calibration that covers them"
         )
     uncovered = Finding(
-        "beyond",
+        "unjudged" if beyond > limits.unjudged * count else "beyond",
         f"{100 * beyond / count:.1f} % of the samples are at temperatures outside of {covered}, "
         "which the calibration hardly covers: they are not judged",
     )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device.coefficients import HUGE
+from vo2_models.diagnosis.adequacy import behind_the_loop
 from vo2_models.diagnosis.breakdown import locate
 from vo2_models.diagnosis.check import limits_in_words
 from vo2_models.diagnosis.drift import Drift
@@ -18,6 +19,7 @@ from vo2_models.diagnosis.evident import Evident, located_with
 from vo2_models.diagnosis.explain import Explanation, cost
 from vo2_models.diagnosis.families import family_of_unnamed
 from vo2_models.diagnosis.hypotheses import Hypothesis
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.result import (
     Candidate,
@@ -48,14 +50,8 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
-_A_DECADE = 0.01
-"""Decades by which a gain may miss a power of ten and be taken for it: 2 %."""
 OTHERS = 4
 """Sets of constants, that which is told among them, up to which all are written out."""
-MISFITTED = 1.5
-"""Times a sensor's noise from which what is taken for noise holds misfit of the calibration too."""
-LOST = 2.0
-"""So many times its chi-square may an explanation leave in the problem without effects to be compared with others there."""
 EXACT = 1e-3
 """Standard deviation of a parameter that is read off the values, as a share of it: a generous rounding of what is written."""
 MODEL_DISCREPANCY = {
@@ -229,16 +225,16 @@ def _mimics(study: Study) -> list[str]:
     return [
         *([f"constants have moved; {effects}"] if effects else []),
         *moved_in_place(study),
-        *_powers_of_ten(_moved(study)),
+        *_powers_of_ten(_moved(study), study.limits),
     ]
 
 
-def _powers_of_ten(moved: Sequence[MovedConstant]) -> list[str]:
+def _powers_of_ten(moved: Sequence[MovedConstant], limits: Limits) -> list[str]:
     """Gains that have moved by a power of ten, which is a unit or a range of an amplifier."""
     told = []
     for m in moved:
         decades = np.log10(m.now / m.was) if m.constant.endswith("gain") and m.was * m.now > 0.0 else 0.0
-        if round(decades) and abs(decades - round(decades)) < _A_DECADE:
+        if round(decades) and abs(decades - round(decades)) < limits.decade:
             told.append(
                 f"{m} is {10 ** round(decades):g} times what it was: check the unit, or an amplifier's range"
             )
@@ -418,7 +414,7 @@ def equally_likely(study: Study) -> tuple[str, ...]:
         told = others or chosen.keys
         same = [other for key in told for other in records[key].same_values]
         return (*told, *same) if same else others
-    if probability[chosen.keys[0]] > 0.5 or _something_else(study) >= 0.5:
+    if probability[chosen.keys[0]] > study.limits.likelier or _something_else(study) >= study.limits.likelier:
         return ()
     order = sorted(probability, key=lambda key: (-probability[key], key != chosen.keys[0]))
     held = np.cumsum([probability[key] for key in order])
@@ -440,11 +436,11 @@ def unlikely(study: Study) -> bool:
     if study.decision.chosen is None:
         return False
     if study.decision.equivalent:
-        return _something_else(study) >= 0.5
+        return _something_else(study) >= study.limits.likelier
     probability = _candidates(study)[1]
     least = min(probability[key] for key in study.decision.chosen.keys)
     if not study.located.problem.nominal.model.description.has_body:
-        return least <= 0.5
+        return least <= study.limits.likelier
     return least < _something_else(study)
 
 
@@ -457,7 +453,7 @@ def _weights(study: Study, everyone: Sequence[Explanation], chi: Sequence[float]
     problem, chosen = _judged_against(study), study.decision.chosen
     temper = study.limits.temper * (1.0 + max(study.decision.remaining_excess, 0.0))
     if study.reading.one_loop and chosen is not None:
-        temper = max(temper, study.limits.temper_on_one_loop * chosen.gain)
+        temper = max(temper, study.limits.temper_on_one_loop * behind_the_loop(problem, chosen.gain))
     costs = np.array(
         [cost(replace(e, chi_square=q), problem, study.limits) for e, q in zip(everyone, chi, strict=True)]
     )
@@ -472,14 +468,14 @@ def _weights(study: Study, everyone: Sequence[Explanation], chi: Sequence[float]
 
     def odds_of(place: int) -> float:
         other = _change(problem, everyone[place])
-        if not _holds(problem, everyone[place], other):
+        if not _holds(study, everyone[place], other):
             return 0.0
         more, worse = dearer[place] - dearer[0], chi[place] - chi[0]
         return odds_of_rival(problem, change, other, dearer=more, worse=worse)
 
     # a fit about itself may be far beyond what the simulation is linear over here: its chi-square is all that counts then
     places = range(1, len(everyone))
-    odds = parallel_map(odds_of, places) if _holds(problem, same, change) else [0.0 for _ in places]
+    odds = parallel_map(odds_of, places) if _holds(study, same, change) else [0.0 for _ in places]
     return beside_the_first(weights, odds)
 
 
@@ -497,9 +493,10 @@ def _change(problem: LinearisedProblem, explanation: Explanation) -> Floats:
     return problem.deviation(explanation.effects, shift)
 
 
-def _holds(problem: LinearisedProblem, explanation: Explanation, change: Floats) -> bool:
+def _holds(study: Study, explanation: Explanation, change: Floats) -> bool:
     """Whether a change (N,) of the simulation leaves here what its explanation leaves where it was fitted, or not much more."""
-    return problem.chi_square(problem.residual - change) < LOST * explanation.chi_square
+    problem = _judged_against(study)
+    return problem.chi_square(problem.residual - change) < study.limits.left_here * explanation.chi_square
 
 
 def _something_else(study: Study) -> float:
@@ -516,7 +513,7 @@ def _something_else(study: Study) -> float:
     if held is not None:  # or constants have moved after all
         temper = study.limits.temper * (1.0 + max(study.decision.remaining_excess, 0.0))
         otherwise = 1.0 - (1.0 - otherwise) / (1.0 + float(np.exp(-0.5 * held.ahead / temper)))
-    return otherwise if study.decision.chosen is not None else max(otherwise, 0.5)
+    return otherwise if study.decision.chosen is not None else max(otherwise, study.limits.likelier)
 
 
 def _best_share(study: Study) -> float:
@@ -556,7 +553,7 @@ def _why_not(study: Study, explanation: Explanation) -> str:
 def _location(study: Study) -> list[Location]:
     """Where recording and simulation differ."""
     decision = study.decision
-    places = [] if decision.verdict == "agrees" else locate(decision.final, decision.breakdown)
+    places = [] if decision.verdict == "agrees" else locate(decision.final, decision.breakdown, study.limits)
     if not study.reading.evident:
         return places
     return located_with(study.reading.evident, places, sum(max(b.excess, 0.0) for b in decision.breakdown))
@@ -776,7 +773,7 @@ def _by_recording(study: Study) -> list[str]:
     excess = np.maximum(energy / np.maximum(count, 1.0), 0.0) - 1.0
     told = ", ".join(f"{part.name} {value:.3g}" for part, value in zip(problem.parts, excess, strict=True))
     text = f"excess in noise powers by recording: {told}"
-    if excess.max() > 10.0 * max(excess.min(), study.limits.excess):
+    if excess.max() > study.limits.one_by_one * max(excess.min(), study.limits.excess):
         text += "; some differ and others do not: diagnose them one by one"
     return [text]
 
@@ -896,8 +893,8 @@ def _why_enough(study: Study) -> str:
             f"{100 * study.limits.share:.0f} % of it on blocks that it was not fitted on: taken for the fitted loops' own misfit"
         )
     located, limits = study.located, study.limits
-    if located.is_large(limits) and located.within_misfit(limits.unlike_misfit):
-        most = max(located.own_misfit.values())
+    most = max(located.own_misfit.values(), default=0.0)
+    if (most > 1.0 or located.is_large(limits)) and located.within_misfit(limits.unlike_misfit):
         usual = located.within_misfit(limits.own_misfit)
         judged = "as repeats may be" if usual else "more than most repeats, but no effect is adequate"
         return f"{most:.2g} times the error of the fit on held-out parts of its calibration, {judged}"
@@ -913,7 +910,7 @@ def _floor(study: Study) -> str:
     for channel in study.located.excess:
         sensor = nominal.model.sensors.get(channel)
         noise = sensor.noise / (np.log(10.0) if channel == RESISTANCE else 1.0) if sensor else 0.0
-        if 0.0 < MISFITTED * noise < nominal.noise[channel].level:
+        if 0.0 < study.limits.misfitted * noise < nominal.noise[channel].level:
             return "noise and misfit of the calibration"
     return "the noise"
 
@@ -946,8 +943,8 @@ def _swings(study: Study) -> list[str]:
 
 
 def _device_in_words(study: Study) -> str:
-    """What says that a recording is of another device, before all else."""
-    return "".join(f"{f.text}. " for f in study.reading.findings if f.kind == "device")
+    """What says that a recording is of another device, or is not judged in large part, before all else."""
+    return "".join(f"{f.text}. " for f in study.reading.findings if f.kind in ("device", "unjudged"))
 
 
 def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -> str:

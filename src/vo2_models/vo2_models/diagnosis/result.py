@@ -30,6 +30,8 @@ __all__ = [
 SCHEMA = "vo2-diagnosis/1"
 RESULTS = ("diagnosis.json", "report.html", "corrected_model.yaml")
 """What a diagnosis writes into its folder."""
+ROUNDING, SUMMED = 1e-9, 1e-6
+"""By how much a share, and a sum of them, may be more than one."""
 FAMILIES = ("drive", "heat", "transition", "film", "structure", "sensor", "clock")
 """What a family begins with; sensor and clock have `:CHANNEL` behind."""
 
@@ -256,16 +258,16 @@ def validate(plain: Mapping[str, Any]) -> None:
             f"moved {entry['constant']}: need finite was, is and std",
         )
     for entry in plain["location"]:
-        need(0 <= entry["share"] <= 1 + 1e-9, f"location share: found {entry['share']}, need 0 to 1")
+        need(0 <= entry["share"] <= 1 + ROUNDING, f"location share: found {entry['share']}, need 0 to 1")
         need(entry["branch"] in ("heating", "cooling", "both"), f"branch: found {entry['branch']!r}")
         for key in ("temperature_surrogate_a", "frequency_hz"):
             need(len(entry[key]) == 2 and entry[key][0] <= entry[key][1], f"{key}: need [low, high]")
         need(all(a <= b for a, b in entry["time_s"]), "time_s: need [start, end] pairs")
     total = sum(entry["share"] for entry in plain["location"])
-    need(total <= 1 + 1e-6, f"location shares: they sum to {total:g}, need at most 1")
+    need(total <= 1 + SUMMED, f"location shares: they sum to {total:g}, need at most 1")
     need(
         sum(entry["probability"] for entry in plain["candidates"])
-        <= max(1, len(plain["effects"])) * (1 + 1e-6),
+        <= max(1, len(plain["effects"])) * (1 + SUMMED),
         "candidates: probabilities sum to more than the number of effects",
     )
     for entry in (*plain["effects"], *plain["candidates"]):

@@ -33,23 +33,12 @@ from vo2_models.numerics.parallel import parallel_map
 
 __all__ = ["Held", "Search", "search"]
 
-STRONG = 0.25
-"""Share of the best score from which an effect is refitted however many others are ahead."""
 SHORTLIST = 6
 """Hypotheses that are refitted in full."""
 TRIMMED = 2
 """Refits to the samples that an effect explains best."""
-LIKE_A_COURSE = 0.8
-"""Share of the gain of a course from which another effect is linearised about itself beside it."""
 RELINEARISED = 3
 """Explanations that are linearised about themselves, where constants may stand for them or another effect is as good."""
-NEAR = 4.0
-"""Excess power left by these, over the least that any leaves, up to which they are: farther ones do not catch up."""
-
-LOUD = 1.0
-"""Excess power that moved constants alone must leave for an effect that leaves noise to be clear of them: that of the noise."""
-PART = 0.25
-"""Share of that excess up to which the effect may leave some before it is linearised about itself."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +110,7 @@ def search(
         return Search((), (), (), (), False, ())
     candidates = hypotheses(problem, located.nominal.device, located.remaining)
     if first_use:
-        candidates = [without_absorbed(problem, hypothesis) for hypothesis in candidates]
+        candidates = [without_absorbed(problem, hypothesis, limits) for hypothesis in candidates]
     clock.expected = 2 * sum(len(h.starts) for h in candidates) + 40 * SHORTLIST + 200
     clock.say(f"trying {len(candidates)} effects")
     shortlist = 2 * SHORTLIST if one_loop else SHORTLIST
@@ -138,7 +127,7 @@ def search(
         fits += unmoved
     courses = _with_courses(located, candidates, fits, limits, clock)
     if any(fit.hypotheses[0].record.takes_course for fit in courses):
-        fits += _beside_courses(located, fits, courses, clock)
+        fits += _beside_courses(located, fits, courses, limits, clock)
     fits += courses
     before = problem.residual_chi_square
     best: dict[str, Explanation] = {}
@@ -156,16 +145,16 @@ def search(
 def _without_constants(located: Located, fits: Sequence[Explanation], limits: Limits, clock: Clock) -> bool:
     """Whether an effect leaves nothing to constants: noise alone beside it, none of them moved, and far more without it."""
     problem = located.problem
-    first = _best_inside(sorted(fits, key=lambda e: cost(e, problem, limits)))
+    first = _best_inside(sorted(fits, key=lambda e: cost(e, problem, limits)), limits)
     without = problem.residual_chi_square / problem.count - 1.0
     if (
         first is None
         or first.at_bound
-        or without < LOUD
-        or first.chi_square / problem.count - 1.0 > PART * without
+        or without < limits.loud
+        or first.chi_square / problem.count - 1.0 > limits.part_of_loud * without
     ):
         return False
-    option = option_of(located.nominal, problem, first, (), tick=clock.tick)
+    option = option_of(located.nominal, problem, first, (), limits, tick=clock.tick)
     drift = drift_of(option.final, option.final.residual - option.chosen.deviation)
     return option.remaining < limits.least and not drift.significant(limits.drift_p)
 
@@ -211,9 +200,9 @@ def _with_courses(
         kept = {n: v for n, v in hypothesis.starts[0].items() if n not in hypothesis.magnitudes}
         name = hypothesis.record.course  # beside any course no other power of the time
         start = {**kept, name: known.values[0].get(name, 0.0) if known else 0.0}
-        fit = fit_jointly(bent, [hypothesis], [start], iterations=BRIEF, tick=clock.tick)
+        fit = fit_jointly(bent, [hypothesis], [start], limits, iterations=BRIEF, tick=clock.tick)
         if followed:
-            there, fit = refit_about(located.nominal, problem, fit, tick=clock.tick)
+            there, fit = refit_about(located.nominal, problem, fit, limits, tick=clock.tick)
             if problem.residual_chi_square - fit.chi_square < alone + worth:
                 continue
             beyond = bent_by(there, there.residual - fit.deviation)
@@ -227,7 +216,11 @@ def _with_courses(
 
 
 def _beside_courses(
-    located: Located, fits: Sequence[Explanation], courses: Sequence[Explanation], clock: Clock
+    located: Located,
+    fits: Sequence[Explanation],
+    courses: Sequence[Explanation],
+    limits: Limits,
+    clock: Clock,
 ) -> list[Explanation]:
     """The best of the others, linearised about themselves as a course is that was simulated: like is compared with like."""
     problem = located.problem
@@ -236,10 +229,12 @@ def _beside_courses(
     near = [
         fit
         for fit in sorted(nearest.values(), key=lambda e: e.chi_square)
-        if problem.residual_chi_square - fit.chi_square > LIKE_A_COURSE * drop
+        if problem.residual_chi_square - fit.chi_square > limits.like_a_course * drop
         and not any(fit.keys == course.keys for course in courses)
     ][:RELINEARISED]
-    return parallel_map(lambda fit: refit_about(located.nominal, problem, fit, tick=clock.tick)[1], near)
+    return parallel_map(
+        lambda fit: refit_about(located.nominal, problem, fit, limits, tick=clock.tick)[1], near
+    )
 
 
 def _refitted(
@@ -251,25 +246,27 @@ def _refitted(
     known: Sequence[Explanation] = (),
 ) -> list[Explanation]:
     """Refit the most promising hypotheses, but those `known` already; those that may be the answer, or its rivals, to the end."""
-    promising = [s for s in scores if s.gain > max(0.08 * scores[0].gain, limits.faint)]
+    promising = [s for s in scores if s.gain > max(limits.promising * scores[0].gain, limits.faint)]
     # a limit of the drive is not linear: its score may be a quarter of that of others which it leaves far behind once refitted
-    promising = [s for k, s in enumerate(promising) if k < shortlist or s.gain > STRONG * scores[0].gain]
+    promising = [
+        s for k, s in enumerate(promising) if k < shortlist or s.gain > limits.strong * scores[0].gain
+    ]
 
     def briefly(s: Score) -> Explanation:
         start = switched(problem, s.hypothesis, s.start, problem.residual, tick=clock.tick)
-        fit = fit_jointly(problem, [s.hypothesis], [start], iterations=BRIEF, tick=clock.tick)
+        fit = fit_jointly(problem, [s.hypothesis], [start], limits, iterations=BRIEF, tick=clock.tick)
         # scores do not see what happens between samples, which is what the alternatives differ by
-        return either_way(problem, fit, tick=clock.tick) if s.hypothesis.choices else fit
+        return either_way(problem, fit, limits, tick=clock.tick) if s.hypothesis.choices else fit
 
     there = {fit.keys[0] for fit in known}
     fits = [*known, *parallel_map(briefly, [s for s in promising if s.hypothesis.key not in there])]
     most = max((fit.gain for fit in fits), default=0.0)
 
     def finished(fit: Explanation) -> Explanation:
-        if fit.gain <= 0.5 * most:
+        if fit.gain <= limits.to_the_end * most:
             return fit
-        again = fit_jointly(problem, fit.hypotheses, fit.values, tick=clock.tick)
-        return either_way(problem, min(fit, again, key=lambda e: e.chi_square), tick=clock.tick)
+        again = fit_jointly(problem, fit.hypotheses, fit.values, limits, tick=clock.tick)
+        return either_way(problem, min(fit, again, key=lambda e: e.chi_square), limits, tick=clock.tick)
 
     return parallel_map(finished, fits)
 
@@ -298,17 +295,18 @@ def _with_fixed_constants(
         say=clock.say,
     )
     known = parallel_map(
-        lambda fit: fit_jointly(fixed, fit.hypotheses, fit.values, iterations=BRIEF, tick=clock.tick), moved
+        lambda fit: fit_jointly(fixed, fit.hypotheses, fit.values, limits, iterations=BRIEF, tick=clock.tick),
+        moved,
     )
     scores = score(fixed, candidates, fixed.residual, tick=clock.tick)
     fits = sorted(_refitted(fixed, scores, limits, shortlist, clock, known), key=lambda e: e.chi_square)
     least = fits[0].chi_square / fixed.count - 1.0 if fits else 0.0
-    near = [e for e in fits if e.chi_square / fixed.count - 1.0 <= NEAR * max(least, limits.least)][
+    near = [e for e in fits if e.chi_square / fixed.count - 1.0 <= limits.near * max(least, limits.least)][
         :RELINEARISED
     ]
 
     def again(fit: Explanation) -> Explanation:
-        return refit_about(located.nominal, fixed, fit, tick=clock.tick)[1]
+        return refit_about(located.nominal, fixed, fit, limits, tick=clock.tick)[1]
 
     return fixed, [*parallel_map(again, near), *fits[len(near) :]]
 
@@ -326,7 +324,7 @@ def _in_place_of_constants(
     time constant and a zero move each as they will: a single effect that does the same would be a coincidence.
     On a device without body zero and gain are all that moves, and they do mimic effects: there it is not asked, nor on one loop.
     """
-    first = _best_inside(sorted(unmoved, key=lambda e: cost(e, fixed, limits)))
+    first = _best_inside(sorted(unmoved, key=lambda e: cost(e, fixed, limits)), limits)
     if first is None or first.at_bound or not located.nominal.model.description.has_body:
         return None
     problem = located.problem
@@ -341,7 +339,7 @@ def _in_place_of_constants(
     if ahead(first, fixed.count) <= 0.0:
         return None
     clock.say("judging an effect in the place of moved constants")
-    option = option_of(located.nominal, fixed, first, unmoved, tick=clock.tick)
+    option = option_of(located.nominal, fixed, first, unmoved, limits, tick=clock.tick)
     if option.chosen.at_bound or ahead(option.chosen, option.final.count) <= 0.0:
         return None
     return Held(option, fixed, drift, constants - cost(option.chosen, fixed, limits))
@@ -356,16 +354,16 @@ def _options(
 ) -> list[Option]:
     """What could be the answer, best first: two effects, one effect."""
     problem = located.problem
-    first = _best_inside(singles)
+    first = _best_inside(singles, limits)
     if first is None or first.gain <= limits.gain:
         return []
     clock.say("linearising about the explanation")
-    alone = option_of(located.nominal, problem, first, singles, tick=clock.tick)
+    alone = option_of(located.nominal, problem, first, singles, limits, tick=clock.tick)
     # a gain that holds only where the simulation is linear is gone there: then another effect may be ahead
     for other in [e for e in singles if e is not first and not e.at_bound][: RELINEARISED - 1]:
         if other.gain <= alone.chosen.gain:
             break
-        again = option_of(located.nominal, problem, other, singles, tick=clock.tick)
+        again = option_of(located.nominal, problem, other, singles, limits, tick=clock.tick)
         # one that went to its bound would not be named
         if not again.chosen.at_bound and cost(again.chosen, problem, limits) < cost(
             alone.chosen, problem, limits
@@ -380,7 +378,7 @@ def _options(
         pair = _pair_in_place_of_one(located, alone, singles, candidates, limits, clock)
     if not pair:
         return [alone]
-    return [pair, *_partner_alone(located, pair, alone, clock), alone]
+    return [pair, *_partner_alone(located, pair, alone, limits, clock), alone]
 
 
 def _where_told(located: Located, alone: Option, limits: Limits, clock: Clock) -> Option:
@@ -394,7 +392,12 @@ def _where_told(located: Located, alone: Option, limits: Limits, clock: Clock) -
     for _ in range(TRIMMED):
         kept = where_told(final, final.residual - chosen.deviation, limits.told)
         fit = fit_jointly(
-            final.restricted(kept), chosen.hypotheses, chosen.values, iterations=BRIEF, tick=clock.tick
+            final.restricted(kept),
+            chosen.hypotheses,
+            chosen.values,
+            limits,
+            iterations=BRIEF,
+            tick=clock.tick,
         )
         chosen = replace(fit, deviation=final.deviation(fit.effects, fit.shift), courses=chosen.courses)
     chi_square = final.chi_square(final.residual - chosen.deviation)
@@ -402,16 +405,18 @@ def _where_told(located: Located, alone: Option, limits: Limits, clock: Clock) -
     return replace(alone, chosen=chosen, remaining=chi_square / final.count - 1.0)
 
 
-def _partner_alone(located: Located, pair: Option, alone: Option, clock: Clock) -> list[Option]:
+def _partner_alone(
+    located: Located, pair: Option, alone: Option, limits: Limits, clock: Clock
+) -> list[Option]:
     """The second effect of a pair by itself, where it fits better than the first: one that was found beside it only."""
     chosen = pair.chosen
     place = next(k for k, key in enumerate(chosen.keys) if key not in alone.chosen.keys)
     partner = fit_jointly(
-        located.problem, [chosen.hypotheses[place]], [chosen.values[place]], tick=clock.tick
+        located.problem, [chosen.hypotheses[place]], [chosen.values[place]], limits, tick=clock.tick
     )
     if partner.chi_square > alone.chosen.chi_square or partner.at_bound:
         return []
-    return [option_of(located.nominal, located.problem, partner, alone.rivals, tick=clock.tick)]
+    return [option_of(located.nominal, located.problem, partner, alone.rivals, limits, tick=clock.tick)]
 
 
 def _in_one_switch(located: Located, alone: Option, limits: Limits, clock: Clock) -> Option:
@@ -432,7 +437,7 @@ def _in_one_switch(located: Located, alone: Option, limits: Limits, clock: Clock
         coordinates=tuple(place for place in alone.chosen.coordinates if place[1] != off),
         shift=np.where([c.name == "thermal.ambient" for c in problem.constants], 0.0, alone.chosen.shift),
     )
-    again = option_of(located.nominal, problem, turned, alone.rivals, tick=clock.tick)
+    again = option_of(located.nominal, problem, turned, alone.rivals, limits, tick=clock.tick)
     return again if again.chosen.chi_square < alone.chosen.chi_square + limits.rival else alone
 
 
@@ -453,19 +458,19 @@ def _pair_in_place_of_one(
     if inside is None or inside.gain <= limits.gain:
         return None
     clock.say("looking for two effects in the place of one")
-    other = option_of(located.nominal, located.problem, inside, singles, tick=clock.tick)
+    other = option_of(located.nominal, located.problem, inside, singles, limits, tick=clock.tick)
     alike = replace(limits, second_cosine=1.0)
     pair = pair_of(located.nominal, located.problem, other, candidates, alike, tick=clock.tick)
     better = pair is not None and pair.chosen.chi_square < alone.chosen.chi_square - limits.rival
     return pair if better else None
 
 
-def _best_inside(explanations: Sequence[Explanation]) -> Explanation | None:
+def _best_inside(explanations: Sequence[Explanation], limits: Limits) -> Explanation | None:
     """The best that does not end at a physical bound, unless one that does is better by far."""
     if not explanations:
         return None
     inside = [e for e in explanations if not e.at_bound]
-    if inside and inside[0].gain > 0.8 * explanations[0].gain:
+    if inside and inside[0].gain > limits.inside * explanations[0].gain:
         return inside[0]
     return explanations[0]
 

@@ -16,6 +16,7 @@ EFFECT = Effect(
     parameters=(
         constant_of("rate", 0, "1", "part of the deflection that creeps in an e-fold of time", -0.05, 0.05),
         constant_of("onset", 1, "s", "time after which the creep goes with the logarithm", 1e-9, 1e9),
+        constant_of("gain", 0, "1", "change of the deflection at rest that comes with it", -0.8, 0.8),
     ),
     states=(State("crept", "m", "deflection that each relaxation has reached", size=NODES),),
     channels=(TIP_DEFLECTION,),
@@ -24,12 +25,13 @@ EFFECT = Effect(
         "integrated": {"rate": (3e-3, 0.012), "onset": (2e-3, 0.02)},
         "peltier": {"rate": (3e-3, 0.012), "onset": (5.0, 40.0)},
     },
-    equation="D_measured = D - rate times what is left to come, which falls by one for each e-fold of time after a step",
+    equation="D_measured = (1 + gain) D - rate times what is left to come, which falls by one for each e-fold of time after a step",
     excitation="steps held for times of very different lengths",
     source="piezo creep, e.g. Vieira, IEEE Trans. Instrum. Meas. 35, 1986; relaxation by a wide spectrum of barriers",
     statement=(
         "The structure gives way by steps that need more and more time: after a change the deflection runs on by the same "
-        "amount in each decade of time, without ever coming to rest, while resistance and temperature have long settled."
+        "amount in each decade of time, without ever coming to rest, while resistance and temperature have long settled. With "
+        "gain = 0 a part of the known deflection is late, with gain = 15.75 rate the late part comes on top of it."
     ),
 )
 
@@ -44,8 +46,8 @@ def advance(memory, crept, deflection, period, onset):
         memory[crept + k] -= math.expm1(-period / tau) * (deflection - memory[crept + k])
 
 
-def structure(memory, crept, deflection, rate):
+def structure(memory, crept, deflection, rate, gain):
     late = 0.0
     for k in range(NODES):
         late += memory[crept + k] - deflection
-    return deflection + rate * STEP * late
+    return deflection + (rate * STEP * late + gain * deflection)

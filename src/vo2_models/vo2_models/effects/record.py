@@ -347,7 +347,11 @@ class Effect:
                 unit_parts(p.unit)
             except ValueError as error:
                 raise ValueError(f"{where}: parameter {p.name}: {error}") from error
-            if p.lower is None or p.upper is None or not p.lower < p.upper:
+            if p.lower is None or p.upper is None:
+                raise ValueError(
+                    f"{where}: parameter {p.name}: found no lower and upper bound, need what is physically possible, in {p.unit}"
+                )
+            if not p.lower < p.upper:
                 raise ValueError(
                     f"{where}: parameter {p.name}: found bounds {p.lower} to {p.upper}, need lower < upper"
                 )
@@ -430,9 +434,14 @@ class Effect:
 
 
 def constant_of(
-    name: str, default: float, unit: str, description: str, lower: float, upper: float
+    name: str,
+    default: float,
+    unit: str = "",
+    description: str = "",
+    lower: float | None = None,
+    upper: float | None = None,
 ) -> Parameter:
-    """Return a `Parameter` of an effect.
+    """Return a `Parameter` of an effect; what is left out, `Effect.check` asks for with file and parameter.
 
     Parameters
     ----------
@@ -442,7 +451,8 @@ def constant_of(
     description : one line
     lower, upper : physical bounds
     """
-    return Parameter(name, float(default), unit, description, float(lower), float(upper))
+    low, high = (None if bound is None else float(bound) for bound in (lower, upper))
+    return Parameter(name, float(default), unit, description, low, high)
 
 
 CHOICE = "choice"

@@ -74,7 +74,7 @@ def skeleton(name: str) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command `new-effect`; return its exit status: 0, 2 on bad input.
+    """Run the command `new-effect`; return its exit status: 0, 2 on bad input, 130 after Ctrl-C.
 
     Parameters
     ----------
@@ -100,6 +100,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         print(f"new-effect: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print(f"new-effect: interrupted; see whether {target} is whole", file=sys.stderr)
+        return 130
     print(
         f"{target}: fill in the physics, then `fit`, `diagnose` and `plant` take it with --effects {given.output}"
     )

@@ -33,8 +33,6 @@ class ConvergenceCondition(NamedTuple):
     """min over v of {gamma_R', gamma_L'} times the weight of radius zero [output unit per input unit]."""
     memoryless_slope: float
     """max over v of |D'| [output unit per input unit]."""
-    contraction: float
-    """Their ratio D'/hysteresis, an upper bound of the contraction factor; inf without a play of radius zero."""
     holds: bool
 
 
@@ -48,7 +46,7 @@ def convergence_condition(model: PlayModel, input_range: tuple[float, float]) ->
 
     Returns
     -------
-    ConvergenceCondition : both sides of (6.4), and the contraction
+    ConvergenceCondition : both sides of (6.4), and whether it holds
 
     Examples
     --------
@@ -68,8 +66,7 @@ def convergence_condition(model: PlayModel, input_range: tuple[float, float]) ->
         per_play = np.broadcast_to(np.minimum(rising, falling), (_GRID, model.plays))
         hysteresis = float(np.min(per_play[:, zero] @ model.weights[zero]))
     steepest = float(np.max(np.abs(model.memoryless.slope(v))))
-    ratio = steepest / hysteresis if hysteresis > 0 else np.inf
-    return ConvergenceCondition(hysteresis, steepest, ratio, bool(hysteresis > steepest))
+    return ConvergenceCondition(hysteresis, steepest, bool(hysteresis > steepest))
 
 
 class FixedPointBatch(NamedTuple):

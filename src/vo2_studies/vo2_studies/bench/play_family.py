@@ -83,7 +83,6 @@ def pi_batch() -> Figure:
 
         ours, c = alternate(lambda: model.simulate(v, start), theirs)
         _same(model.simulate(v, start)[0], out)
-    assert c is not None
     return Figure(ours / v.size * 1e9, "ns", c / v.size * 1e9, "yardstick: plain C")
 
 
@@ -120,7 +119,6 @@ def gpi_batch() -> Figure:
 
         ours, c = alternate(lambda: model.simulate(v, start), theirs)
         _same(model.simulate(v, start)[0], out)
-    assert c is not None
     return Figure(ours / v.size * 1e9, "ns", c / v.size * 1e9, "yardstick: plain C")
 
 
@@ -187,7 +185,7 @@ def egpi_inverse() -> Figure:
     wishes, _ = model.simulate(_currents(20_000), start)
     result = inverse.simulate(wishes, start)
     residual = np.max(np.abs(result.output - wishes)[result.reached]) / inverse.output_range
-    seconds, _ = alternate(lambda: inverse.simulate(wishes, start))
+    (seconds,) = alternate(lambda: inverse.simulate(wishes, start))
     note = f"residual {residual:.1e} of range, {np.mean(result.reached):.1%} reachable on the way taken"
     return Figure(seconds / wishes.size * 1e6, "us", note=note)
 

@@ -23,7 +23,7 @@ def _fit(*, plays: int, per_play: bool) -> Figure:
     v = 60 + 40 * np.sin(np.linspace(-1.57, 60, 2000)) * np.linspace(1, 0.1, 2000)
     y, _ = device.simulate(v)
     y = y + 2e-3 * np.ptp(y) * np.random.default_rng(0).standard_normal(v.size)
-    seconds, _ = alternate(
+    (seconds,) = alternate(
         lambda: fit_play_model(v, y, plays=plays, memoryless="sine", per_play=per_play), repeats=3
     )
     fit = fit_play_model(v, y, plays=plays, memoryless="sine", per_play=per_play)

@@ -44,7 +44,7 @@ def compressive() -> Figure:
         )
         return detail.gap
 
-    seconds, _ = alternate(run, repeats=7)
+    (seconds,) = alternate(run, repeats=7)
     return Figure(seconds, "s", note=f"duality gap {run():.0e}")
 
 
@@ -58,7 +58,7 @@ def _least_squares(level: int, with_yardstick: bool) -> Figure:
     relative = violation / float(np.linalg.norm(matrix) * np.linalg.norm(u))
     if not relative < 1e-10:
         raise RuntimeError(f"least squares: found a gradient of {relative:.1e}, need an optimum to 1e-10")
-    seconds, _ = alternate(lambda: fit_preisach(v, u, walls, diagonal="square"), repeats=7)
+    (seconds,) = alternate(lambda: fit_preisach(v, u, walls, diagonal="square"), repeats=7)
     note = f"optimal to {relative:.0e}"
     if not with_yardstick:
         return Figure(seconds, "s", note=note)
@@ -104,7 +104,7 @@ def _compression(level: int) -> Figure:
     middle = 0.5 * (walls[1:] + walls[:-1])
     bump = np.exp(-(((middle[:, None] - 58) / 4) ** 2) - ((middle[None, :] - 52) / 4) ** 2)
     operator = PreisachOperator(walls, np.tril((bump + 0.01) * rng.uniform(0.7, 1.3, bump.shape)))
-    seconds, _ = alternate(lambda: compress(operator, level, "kl"), repeats=3)
+    (seconds,) = alternate(lambda: compress(operator, level, "kl"), repeats=3)
     return Figure(seconds, "s", note="J_KL, every partition compared")
 
 
@@ -122,7 +122,7 @@ def _smooth(samples: int, level: int, repeats: int) -> Figure:
     if not left < 0.02:
         raise RuntimeError(f"fit_smooth: left {left:.2g} of the span, need less than 0.02 at a noise of 0.01")
     start = process_time()
-    seconds, _ = alternate(lambda: fit_smooth(v, u, walls), repeats=repeats)
+    (seconds,) = alternate(lambda: fit_smooth(v, u, walls), repeats=repeats)
     used = (process_time() - start) / (repeats + 1)
     return Figure(seconds, "s", note=f"{samples} samples, L = {level}, {used:.2g} s of processor")
 

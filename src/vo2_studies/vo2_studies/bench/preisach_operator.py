@@ -100,7 +100,6 @@ def _batch(level: int) -> Figure:
         gap = float(np.max(np.abs(operator(v) - out)))
     if not gap < 1e-9 * np.ptp(operator.output_range):
         raise RuntimeError(f"yardstick: found outputs {gap:.3g} apart from ours, need the same computation")
-    assert yardstick is not None
     return Figure(ours / SAMPLES * 1e9, "ns", yardstick / SAMPLES * 1e9, "plain C over the Everett table")
 
 
@@ -109,7 +108,6 @@ def level_ratio() -> Figure:
     v = aligned(_inputs())
     fine, coarse = _operator(1000), _operator(30)
     ours, yardstick = alternate(lambda: fine(v), lambda: coarse(v))
-    assert yardstick is not None
     return Figure(ours / SAMPLES * 1e9, "ns", yardstick / SAMPLES * 1e9, "level 1000 over level 30")
 
 

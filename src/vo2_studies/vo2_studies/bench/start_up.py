@@ -121,7 +121,7 @@ def node_start() -> Figure:
 
 
 ENTRIES = (
-    Entry("import", import_package, 0.5),
+    Entry("import", import_package, 0.1),
     Entry("first_call", first_call, 2.0),
     Entry("node_start", node_start, 1.5),
 )

@@ -57,14 +57,11 @@ def aligned(values: ArrayLike) -> NDArray[np.float64]:
     return copy
 
 
-def alternate(
-    ours: Callable[[], object], theirs: Callable[[], object] | None = None, *, repeats: int = 15
-) -> tuple[float, float | None]:
-    """Return the median seconds of `ours` and of `theirs`, run in turn so that both meet the same disturbances.
+def alternate(*candidates: Callable[[], object], repeats: int = 15) -> tuple[float, ...]:
+    """Return the median seconds of each candidate, run in turn so that all meet the same disturbances.
 
-    Both run once unmeasured before.
+    Each runs once unmeasured before.
     """
-    candidates = [ours] if theirs is None else [ours, theirs]
     for candidate in candidates:
         candidate()
     seconds: list[list[float]] = [[] for _ in candidates]
@@ -73,8 +70,7 @@ def alternate(
             start = perf_counter()
             candidate()
             into.append(perf_counter() - start)
-    medians = [statistics.median(into) for into in seconds]
-    return medians[0], medians[1] if theirs is not None else None
+    return tuple(statistics.median(into) for into in seconds)
 
 
 def per_call(function: Callable[[float], object], values: list[float], *, repeats: int = 15) -> float:
@@ -84,5 +80,5 @@ def per_call(function: Callable[[float], object], values: list[float], *, repeat
         for value in values:
             function(value)
 
-    seconds, _ = alternate(through, repeats=repeats)
+    (seconds,) = alternate(through, repeats=repeats)
     return seconds / len(values)

@@ -76,7 +76,7 @@ def _rate(t1, power, ambient, tau, fraction, cooling_ratio, beta, exponent, gamm
 
 @kernel
 def _core(
-    current, ambient, local, pull, step, tau, gain, squared, terms, film, start, law_m, law_s, feedback
+    current, ambient, local, shift, step, tau, gain, squared, terms, film, start, law_m, law_s, feedback
 ):
     """Run the coupled part; see `run_core`."""
     n = current.size
@@ -112,7 +112,7 @@ def _core(
         if terms.slow_gain != 0.0:
             fade = np.exp(-step / terms.slow_time)
             t2 = fade * t2 + (1 - fade) * terms.slow_gain * power
-        common = t2 + local[k] + pull[k] - terms.training * reversals - behind
+        common = t2 + local[k] + shift[k] - terms.training * reversals - behind
         shift_m = common + feedback * (slow_m - 0.5)
         # Runge-Kutta does not see the film stop the temperature within a step: shorter ones with latent heat
         inner = 4 if terms.latent != 0.0 and not kinetic else 1
@@ -158,7 +158,7 @@ def _core(
 
 
 def run_core(
-    device: Device, terms: Terms, *, current: Array, ambient: Array, local: Array, pull: Array, step: float
+    device: Device, terms: Terms, *, current: Array, ambient: Array, local: Array, shift: Array, step: float
 ) -> tuple[Array, Array, Array, Array, int]:
     """Run device temperature and phase from rest at ambient temperature, reached from the cold.
 
@@ -169,7 +169,7 @@ def run_core(
     current : heater current over each of n steps [A], constant within a step
     ambient : ambient temperature of each step [degC]
     local : film and cantilever above the heated body [K]
-    pull : what the transition sees besides the film's temperature [K]
+    shift : what the transition sees besides the film's temperature [K]
     step : length of a step [s]
 
     Returns
@@ -190,7 +190,7 @@ def run_core(
     )
     film, terms = device.film, Terms(*map(float, terms))
     temperature, film_temperature, metal, structure, reversals = _core(
-        current, ambient, local, pull, step, device.time_constant, device.gain, device.preset.squared, terms, electrical,
+        current, ambient, local, shift, step, device.time_constant, device.gain, device.preset.squared, terms, electrical,
         float(device.ambient), film.metal, film.structure, film.feedback + terms.feedback,
     )  # fmt: skip
     return temperature, film_temperature, metal, structure, int(reversals)

@@ -247,7 +247,7 @@ def _draw_in_range(
     jitter: Array | None,
 ) -> tuple[Drawn, Truth, dict[str, float]]:
     """Draw one of the forms until its excess is inside `limits`; else keep the draw that came nearest."""
-    best: tuple[float, Drawn, Truth, dict[str, float]] | None = None
+    tried: list[tuple[float, Drawn, Truth, dict[str, float]]] = []
     low, high = np.log(limits)
     effect = choices[int(context.rng.integers(len(choices)))]
     for _ in range(TRIES):
@@ -258,12 +258,10 @@ def _draw_in_range(
         excess = excess_by_channel(clean, truth, plan, noise)
         size = np.log(max(*excess.values(), 1e-9))
         miss = max(low - size, size - high, 0.0)
-        if best is None or miss < best[0]:
-            best = (miss, drawn, truth, excess)
+        tried.append((miss, drawn, truth, excess))
         if miss == 0.0:
             break
-    assert best is not None
-    return best[1:]
+    return min(tried, key=lambda one: one[0])[1:]
 
 
 def _effect_answer(

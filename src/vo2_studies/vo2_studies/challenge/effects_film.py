@@ -57,11 +57,6 @@ def _apply_expansion(plan: Plan, v: Values, c: Context) -> None:
     plan.structure.append(bend)
 
 
-def _draw_expansion(c: Context) -> Draw:
-    size = log_uniform(c.rng, 0.004e-6, 0.1e-6) * c.preset.scales.deflection
-    return {"slope_change": (either_sign(c.rng, size), "m/K")}
-
-
 def _apply_creep(plan: Plan, v: Values, c: Context) -> None:
     def bend(t: Array, deflection: Array, temperature: Array, structure: Array, device: Device) -> Array:
         # Kelvin-Voigt element in series: its strain follows the instantaneous one slowly

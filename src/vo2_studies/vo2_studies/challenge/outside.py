@@ -144,7 +144,7 @@ def _apply(plan: Plan, v: Values, c: Context) -> None:
     elif place == "heat":
         plan.heat.append(lambda power, step: change(c.preset.steady_current(power + c.preset.ambient), step))
     elif place == "transition":
-        plan.pull.append(lambda t, i: change(t if depends == "time" else i, float(t[1] - t[0])))
+        plan.shift.append(lambda t, i: change(t if depends == "time" else i, float(t[1] - t[0])))
     elif place == "film":
 
         def film(t: Array, resistance: Array, temperature: Array, current: Array) -> Array:

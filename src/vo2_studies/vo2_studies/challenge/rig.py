@@ -36,7 +36,7 @@ class Plan:
     ambient : time (m,) -> change of the ambient temperature [K]
     heat : (nominal heat input (m,) [K], step) -> change of the ambient temperature [K]
     local : time (m,) -> film and cantilever above the heated body [K]
-    pull : (time (m,), current (m,)) -> what the transition sees besides the film's temperature [K]
+    shift : (time (m,), current (m,)) -> what the transition sees besides the film's temperature [K]
     widening : structural loop wider than the metallic by this [K]
     phase : (step, film temperature, metal, structure, device) -> metal, structure, on the fine grid
     film : (time, resistance, film temperature, current) -> resistance [ohm], fine grid
@@ -52,7 +52,7 @@ class Plan:
     ambient: list[Callable[[Array], Array]] = field(default_factory=list)
     heat: list[Callable[[Array, float], Array]] = field(default_factory=list)
     local: list[Callable[[Array], Array]] = field(default_factory=list)
-    pull: list[Callable[[Array, Array], Array]] = field(default_factory=list)
+    shift: list[Callable[[Array, Array], Array]] = field(default_factory=list)
     widening: float = 0.0
     phase: list[Callable[[float, Array, Array, Array, Device], tuple[Array, Array]]] = field(
         default_factory=list
@@ -108,13 +108,13 @@ def simulate(device: Device, command: Array, plan: Plan, jitter: Array | None = 
     power = device.gain * (heating**2 if preset.squared else heating)
     ambient = ambient + sum((f(power, step) for f in plan.heat), np.zeros(driven.size))
     local = sum((f(start) for f in plan.local), np.zeros(driven.size))
-    pull = sum((f(start, driven) for f in plan.pull), np.zeros(driven.size))
+    shift = sum((f(start, driven) for f in plan.shift), np.zeros(driven.size))
     if plan.widening:
         device = replace(
             device, film=device.film._replace(structure=widen(device.film.structure, plan.widening))
         )
     body, film_temperature, metal, structure, reversals = run_core(
-        device, Terms(**plan.terms), current=heating, ambient=ambient, local=local, pull=pull, step=step
+        device, Terms(**plan.terms), current=heating, ambient=ambient, local=local, shift=shift, step=step
     )
     for change in plan.phase:
         metal, structure = change(step, film_temperature, metal, structure, device)
@@ -133,8 +133,8 @@ def simulate(device: Device, command: Array, plan: Plan, jitter: Array | None = 
     if jitter is not None:
         time = np.clip(time + jitter, 0.0, fine[-1])
     sampled = {name: np.interp(time, fine, values[name]) for name in channels_of(device)}
-    for channel, shift in plan.sampled:
-        sampled[channel] = shift(time, sampled[channel])
+    for channel, at_samples in plan.sampled:
+        sampled[channel] = at_samples(time, sampled[channel])
     mean_current = np.concatenate([[0.0], driven.reshape(n - 1, sub).mean(axis=1)])
     return Truth(
         time,

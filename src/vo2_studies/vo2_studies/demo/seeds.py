@@ -51,7 +51,10 @@ def device_errors(device_id: str, seed: int) -> dict[str, dict[str, float]]:
     controller = design_controller(
         "pi", preset=device_id, sample_period_s=nominal.sample_period, values=model
     )
-    assert isinstance(controller, LinearController)
+    if not isinstance(controller, LinearController):
+        raise TypeError(
+            f"controller: found {type(controller).__name__}, need a linear one to run the loop compiled"
+        )
     found: dict[str, dict[str, float]] = {}
     for scheme in SCHEMES:
         sensing = self_sensing(scheme, model)

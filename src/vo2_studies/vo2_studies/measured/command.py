@@ -92,6 +92,7 @@ def _studies(
     keys: Sequence[str], data: Path, options: argparse.Namespace, workers: int
 ) -> Iterator[tuple[str, SetReport]]:
     """Yield set and report in the order in which the sets are done."""
+    cores = (os.cpu_count() or 1) // workers
     before = set(multiprocessing.active_children())
     # spawn: a fork of a process whose libraries run threads may hang
     spawn = multiprocessing.get_context("spawn")
@@ -100,7 +101,7 @@ def _studies(
             with interrupt_is_ours():
                 jobs = {
                     pool.submit(
-                        _study, key, data, options.output, not options.no_diagnosis, options.quiet
+                        _study, key, data, options.output, not options.no_diagnosis, options.quiet, cores
                     ): key
                     for key in keys
                 }
@@ -112,8 +113,10 @@ def _studies(
             raise
 
 
-def _study(key: str, data: Path, output: Path, diagnose: bool, quiet: bool) -> SetReport:
-    """Do one set; runs in a process of its own."""
+def _study(key: str, data: Path, output: Path, diagnose: bool, quiet: bool, cores: int) -> SetReport:
+    """Do one set on so many cores; runs in a process of its own."""
+    from vo2_models.numerics.parallel import use_cores
+
     from vo2_studies.measured.cases import cases_of
     from vo2_studies.measured.preset_diagnosis import diagnose_set
     from vo2_studies.measured.report import SetReport
@@ -125,6 +128,7 @@ def _study(key: str, data: Path, output: Path, diagnose: bool, quiet: bool) -> S
         if not quiet:
             print(f"measured: {text}", file=sys.stderr, flush=True)
 
+    use_cores(cores)
     began = time.monotonic()
     bags = output / "bags" / key
     if bags.exists():  # of an earlier run: a bag is never written over

@@ -169,7 +169,6 @@ def _problem(
         [_section(setting), *candidate.free],
         levels={setting.channel: setting.level},
         settled=setting.settled,
-        threads=1,
     )
 
 

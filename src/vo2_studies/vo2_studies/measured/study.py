@@ -28,7 +28,7 @@ COMPLETE = 0.85
 """Least share of the excess on held-out data that a named effect explains."""
 SIGMAS = 4.0
 """Least distance of its magnitude from nothing, in standard deviations."""
-ALIKE = 1.15
+SIMILAR_ERROR = 1.15
 """Rivals with a held-out error within this factor are not told apart."""
 TRAINED_SHARE = 0.6
 """Part of a single recording that is fitted; the rest is predicted."""
@@ -158,7 +158,9 @@ def study_set(
     complete = [j for j in rest if j.candidate.in_catalogue and len(j.fits) == len(folds)]
     chosen = min(complete, key=lambda j: j.training)
     rivals = tuple(
-        j.candidate.id for j in complete if j is not chosen and j.gain > 0.25 and j.held < ALIKE * chosen.held
+        j.candidate.id
+        for j in complete
+        if j is not chosen and j.gain > 0.25 and j.held < SIMILAR_ERROR * chosen.held
     )
     reasons = _doubts(chosen, rest)
     if rivals:

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vo2_models.hysteresis.law import Inverse, Law, Saturation
+from vo2_models.hysteresis.law import Inverse, Law, LawInverse, Saturation
 from vo2_models.hysteresis.preisach.grid import cell_count, checked_walls
 from vo2_models.hysteresis.preisach.kernels import move_preisach, sweep_preisach
 from vo2_models.hysteresis.preisach.operator import PreisachOperator
@@ -102,11 +102,6 @@ class NonMonotonicPreisach(Law):
         linear = -(self.k0 - rate * low) + rate * self.reference
         object.__setattr__(self, "parabola", (float(constant), float(linear), float(-rate)))
 
-    @classmethod
-    def with_linear_term(cls, operator: PreisachOperator, slope: float) -> NonMonotonicPreisach:
-        """Return mu_0 + c_d v + Preisach, (4.19): the same expansion in both phases."""
-        return cls(operator, -slope, -slope, 0.0)
-
     def expansion(self, temperature: ArrayLike) -> Floats:
         """Return the memoryless part kappa_E (5.7) at `temperature` [degC], any shape."""
         t = np.asarray(temperature, dtype=np.float64)
@@ -140,10 +135,20 @@ class NonMonotonicPreisach(Law):
         return self.operator.present_input(memory)
 
     def inverse(self, input_range: tuple[float, float] | None = None) -> Inverse:
-        """Return the inverse of section 5.4.1, over the whole grid."""
+        """Return the inverse of section 5.4.1 over the grid, the one by bisection over inputs (low, high) that do not cover it.
+
+        That of section 5.4.1 may need two temperatures, and visits the ends of the grid.
+
+        Raises
+        ------
+        ValueError : an input range that is not in order.
+        """
         from vo2_models.hysteresis.preisach.nonmonotonic_inverse import NonMonotonicInverse
 
-        return NonMonotonicInverse(self)
+        first, last = self.operator.walls[[0, -1]]
+        if input_range is None or (input_range[0] <= first and last <= input_range[1]):
+            return NonMonotonicInverse(self)
+        return LawInverse(self, input_range)
 
     def step_devices(self, temperature: ArrayLike, memory: Floats) -> Floats:
         """Apply one temperature [degC] to each device and return the outputs (devices,); `memory` changes in place."""

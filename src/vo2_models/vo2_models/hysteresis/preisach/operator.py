@@ -243,12 +243,21 @@ class PreisachOperator(Law):
         return self.run(v, None if memory is None else memory.copy())
 
     def inverse(self, input_range: tuple[float, float] | None = None) -> Inverse:
-        """Return the exact inverse over the grid; with densities of both signs the one by bisection, as `LawInverse`."""
+        """Return the inverse over inputs (low, high), None for the grid: exact where it covers the grid, else by bisection.
+
+        Densities of both signs have the one by bisection, `LawInverse`, too.
+
+        Raises
+        ------
+        ValueError : an input range that is not in order.
+        """
         from vo2_models.hysteresis.preisach.inverse import PreisachInverse
 
-        if np.any(self.density < 0):
-            return LawInverse(self, input_range or (float(self.walls[0]), float(self.walls[-1])))
-        return PreisachInverse(self)
+        first, last = float(self.walls[0]), float(self.walls[-1])
+        low, high = input_range or (first, last)
+        if low <= first and last <= high and not np.any(self.density < 0):
+            return PreisachInverse(self)
+        return LawInverse(self, (low, high))
 
     def to_parameters(self, section: str) -> dict[str, Value]:
         """Return the flat parameters; the density row by row, with the true area of the cells on the diagonal."""

@@ -49,14 +49,12 @@ class SmoothFit(PreisachFit):
     strengths, held_out_rmse : candidates, and the error on the folds left out [output unit], for the sign used; inf
         where a candidate was not tried any more
     nonnegative : whether densities were held at or above 0
-    sign_rmse : least error on the folds left out of densities >= 0, and of signed ones; NaN where not tried
     """
 
     strength: float
     strengths: Floats
     held_out_rmse: Floats
     nonnegative: bool
-    sign_rmse: tuple[float, float]
 
 
 def roughness(walls: Floats) -> sparse.csr_matrix:
@@ -292,7 +290,6 @@ def fit_smooth(
     chosen = min(signs, key=lambda sign: float(errors[sign].min()))
     best = float(tried[int(np.argmin(errors[chosen]))])
     masses, constant = problem.solve(best, np.ones(part.size, dtype=np.bool_), chosen)
-    least = [float(errors[sign].min()) if compared and sign in signs else np.nan for sign in (True, False)]
     return SmoothFit(
         problem.operator(masses, constant, grid, diagonal),
         0.0,
@@ -301,5 +298,4 @@ def fit_smooth(
         tried,
         errors[chosen],
         chosen,
-        (least[0], least[1]),
     )

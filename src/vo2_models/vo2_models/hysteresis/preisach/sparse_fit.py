@@ -303,7 +303,7 @@ def fit_sparse(
         )
     problem = _Problem(_areas_seen(inputs, grid, used), outputs[used])
     signs = (True, False) if nonnegative is None else (bool(nonnegative),)
-    best: tuple[float, str, float, bool] | None = None
+    best = np.inf, bases[0], float(tried[0]), signs[0]
     errors: dict[str, float] = {}
     for basis in bases:
         psi, weight = transform(basis, grid.size - 1)
@@ -316,9 +316,8 @@ def fit_sparse(
             rmse = np.sqrt(squares / np.count_nonzero(part >= 0))
             k = int(np.argmin(rmse))
             errors[basis] = min(errors.get(basis, np.inf), float(rmse[k]))
-            if best is None or rmse[k] < best[0]:
+            if rmse[k] < best[0]:
                 best = float(rmse[k]), basis, float(tried[k]), sign
-    assert best is not None
     error, basis, strength, sign = best
     psi, weight = transform(basis, grid.size - 1)
     x, constant = problem.solve(np.ones(part.size, dtype=np.bool_), psi, weight, np.array([strength]), sign)
