@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 from vo2_control.controller_node import ControllerNode
-from vo2_control.designs import design_feedforward, reach
+from vo2_control.designs import check_device_limits, design_feedforward, reach
 from vo2_control.reference_node import ReferenceNode
 from vo2_interface.model import operating_point
 from vo2_interface.parameters import ros_parameters
@@ -118,6 +118,26 @@ def test_the_safe_current_is_that_of_the_device_file(tmp_path):
         rig.hear("/vo2/command", ("heater_current",))
         rig.add(ControllerNode)
         assert [command_of(rig, k, math.nan) for k in range(1, 6)][-1] == 2.0e-3
+
+
+def test_a_loop_on_a_force_closes_and_a_value_that_is_none_is_told_once_with_the_reason(tmp_path):
+    device = tmp_path / "grip.yaml"
+    device.write_text(
+        "schema: vo2-device/1\nid: grip\ndrive: {channel: heater_current, unit: A, limits: [0.0, 12.0e-3]}\n"
+        "body: {kind: first_order, ambient: 22.0, square_gain: 1.0e+6, time_constant: 5.0e-3}\n"
+        "responses:\n  force: {unit: N, range: [0.0, 60.0]}\nsampling: {period: 1.0e-3}\n"
+    )
+    with controller(f"preset:={device}", "pid.kp:=1.0e-6", "pid.ki:=1.0e-3") as rig:
+        rig.hear("/vo2/command", ("heater_current",))
+        node = rig.add(ControllerNode)
+        closed = [command_of(rig, k, 20.0, 30.0) for k in range(1, 5)]
+        assert np.all(np.diff(closed) > 0)
+        lost = [command_of(rig, k, 700.0 + k, 30.0) for k in range(5, 12)]
+        assert lost == [closed[-1]] * 3 + [0.0] * 4
+        rig.until(lambda: "estimate is beyond 600 N" in rig.status("controller: input")[0])
+        assert node._diagnostics.level("input") == "error"
+        with pytest.raises(ValueError, match=r"A/N at once.*0\.06 N of noise"):
+            check_device_limits(str(device), 1e-3, {"pid.kp": 1.0})
 
 
 def test_wall_time_an_estimator_that_stops_leads_to_the_safe_current():

@@ -8,8 +8,8 @@ from vo2_control.closed_loop import run_loop
 from vo2_control.controller import CurrentLimits
 from vo2_control.feedforward import (
     InverseFeedforward,
+    NonMonotonicSolver,
     PlayInverse,
-    PreisachInverse,
     ThermalPath,
     feedforward_from_model,
 )
@@ -47,7 +47,7 @@ def preisach_model():
 
 
 def inverse(kind):
-    return PlayInverse(play_model(), (30.0, 95.0)) if kind == "play" else PreisachInverse(preisach_model())
+    return PlayInverse(play_model(), (30.0, 95.0)) if kind == "play" else NonMonotonicSolver(preisach_model())
 
 
 def respond(kind, current):

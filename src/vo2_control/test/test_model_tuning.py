@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from vo2_control.closed_loop import run_loop
 from vo2_control.controller import CurrentLimits
-from vo2_control.model_tuning import loop_slopes, thermal_lag, tuned_from_model
-from vo2_control.pid import pid_controller
+from vo2_control.model_tuning import STILL, held_swing, loop_slopes, thermal_lag, tuned_from_model
+from vo2_control.pid import PidGains, pid_controller
 from vo2_models.device import truth
 from vo2_models.device.model import DeviceModel
+
+from vo2_control import model_tuning
 
 
 def test_slopes_of_a_tanh_loop_are_the_analytic_ones(crude_model):
@@ -35,6 +37,22 @@ def test_gains_from_a_crude_model_track_steps_on_the_device(
     result = run_loop(truth(device, seed=1, domains=1000), None, controller, reference)
     settled = np.abs(result.error_m.reshape(-1, hold)[1:, -200:])
     assert settled.mean() < allowed_m
+
+
+def test_a_law_that_cycles_around_the_width_of_the_loop_is_not_taken_nor_one_that_is_all_there_is(
+    crude_model, monkeypatch
+):
+    parameters = crude_model("peltier").to_parameters()
+    swing = held_swing(crude_model("peltier").simulation, 0.125)
+    limits = CurrentLimits(-1.2, 1.2)
+    # of less tracking error, by which it was once chosen
+    cycling = PidGains(-37198.0, -3755.3, -1525.7, derivative_filter_s=0.109)
+    assert swing(pid_controller(cycling, limits, 0.125)) > STILL
+    tuned = tuned_from_model(parameters, 0.125, derivative=True)
+    assert swing(pid_controller(tuned.gains, limits, 0.125)) <= STILL
+    monkeypatch.setattr(model_tuning, "STILL", -1.0)
+    with pytest.raises(ValueError, match=r"held deflection that swings by .* %.*sample faster"):
+        tuned_from_model(parameters, 0.125)
 
 
 def test_flipped_and_incomplete_models_are_refused(crude_model):

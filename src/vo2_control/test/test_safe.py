@@ -15,7 +15,7 @@ REACH = (2e-6, 58e-6)
 
 def supervisor(**changes):
     controller = pid_controller(PidGains(50.0, 2e4), CurrentLimits(0.0, 0.012), PERIOD)
-    arguments = {"reach_m": REACH} | changes
+    arguments = {"reach_m": REACH, "range_m": (0.0, 60e-6)} | changes
     return Supervisor(controller, SafetySettings(PERIOD, **arguments))
 
 
@@ -64,6 +64,18 @@ def test_reference_out_of_reach_is_clipped_with_the_reason(reference, clipped):
     assert decision.mode == "limited" and "outside the reachable" in decision.reason
     assert decision.current_a == inside.sample(0.0, clipped, 25e-6).current_a
     assert s.sample(PERIOD, 30e-6, 25e-6).reason == ""
+
+
+def test_a_response_in_another_unit_closes_the_loop_up_to_ten_times_its_range():
+    s = supervisor(reach_m=(0.0, 50.0), range_m=(0.0, 60.0), response_unit="N")
+    assert s.sample(0.0, 30.0, 25.0).mode == "tracking"
+    assert (
+        s.sample(PERIOD, 55.0, 25.0).reason == "reference of 55 N is outside the reachable 0 to 50 N: clipped"
+    )
+    reasons = {s.sample(k * PERIOD, 30.0, 600.0 + k).reason for k in range(2, 9)}
+    # one cause, one text while it is held and one after
+    assert len(reasons) == 2 and all(r.startswith("estimate is beyond 600 N, 10 times") for r in reasons)
+    assert s.sample(9 * PERIOD, math.nan, 25.0).reason == "reference is nan: safe current 0 A"
 
 
 def test_wall_time_a_loop_left_alone_starts_anew_from_the_safe_current():

@@ -11,6 +11,7 @@ import secrets
 import time
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from statistics import median
 
 from sensor_msgs.msg import JointState
@@ -33,7 +34,9 @@ from vo2_interface.topics import (
     REFERENCE_CHANNELS,
     SAMPLE_QOS,
 )
+from vo2_models.device.description import preset as description
 from vo2_models.parameters import Parameter, Value
+from vo2_models.recording import TIP_DEFLECTION
 
 from vo2_control.designs import check_device_limits
 from vo2_control.echo import CommandEcho
@@ -102,7 +105,7 @@ class CommandNode(ManagedNode):
         self._point = operating_point(preset)
         self._period_s = 1.0 / (self._table.number("rate_hz") or self._point.rate_hz)
         self._wall = self._table.text("time") == "wall"
-        self._diagnostics = Diagnostics(self, hardware_id=preset)
+        self._diagnostics = Diagnostics(self, hardware_id=preset, wall_time=self._wall)
         self._stop = EmergencyStop(self, self._diagnostics)
         self._supervisor: Supervisor | None = None
         self._source = source
@@ -173,14 +176,18 @@ class CommandNode(ManagedNode):
         """Return what to command for a sample and its finite set-point, or in words why the sample cannot be used."""
 
     def _settings(self, reach_m: tuple[float, float]) -> SafetySettings:
-        return SafetySettings(
+        device = description(self._table.text("preset"))
+        told = device.tells("responses", device.names.get(TIP_DEFLECTION, ""), "range")
+        settings = SafetySettings(
             self._period_s,
             safe_current_a=self._point.safe_a,
             hold_periods=HOLD_SAMPLES,
             reach_m=reach_m,
             wall_time=self._wall,
             unit=self._point.unit,
+            response_unit=device.units.get(TIP_DEFLECTION, "m"),
         )
+        return replace(settings, range_m=device.deflection_extent) if told else settings
 
     @property
     def _followed(self) -> bool:
@@ -345,6 +352,9 @@ class CommandNode(ManagedNode):
         if isinstance(decision, str):
             self._miss(stamp_ns, decision)
             return
+        if decision.mode in ("holding", "safe"):
+            self._let_go(decision, stamp_ns)
+            return
         self._tell(before, decision, stamp_ns)
         self._good_ns = stamp_ns
         self._publish(stamp_ns, decision.current_a)
@@ -367,7 +377,10 @@ class CommandNode(ManagedNode):
         if self._supervisor is None:
             self._publish(stamp_ns, self._point.safe_a)
             return
-        decision = self._supervisor.lost(stamp_ns * 1e-9, why)
+        self._let_go(self._supervisor.lost(stamp_ns * 1e-9, why), stamp_ns)
+
+    def _let_go(self, decision: Decision, stamp_ns: int) -> None:
+        """Report why a sample has no answer of the law, and command what there is without."""
         level = "error" if decision.mode == "safe" else "warn"
         self._diagnostics.report("input", level, decision.reason, stamp_ns=stamp_ns)
         if self._wall and decision.mode == "holding":

@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from vo2_interface.model import operating_point
 from vo2_models.device.description import check_model_of
+from vo2_models.device.description import preset as description
 from vo2_models.parameters import Parameter, Value
+from vo2_models.recording import TIP_DEFLECTION
+from vo2_models.units import shown_unit
 
 from vo2_control.controller import Controller, CurrentLimits, LinearController, LinearLaw
 from vo2_control.generalised_plant import DESIGN_PARAMETERS, design_from_parameters
@@ -147,9 +150,11 @@ def check_device_limits(preset: str, sample_period_s: float, values: Mapping[str
                 f"{name}: found {value:g} {point.unit}, need {point.least_a:g} to {point.most_a:g} {point.unit}, which "
                 f"{preset} bears"
             )
-    span, unit = point.most_a - point.least_a, "A/m"
+    response = description(preset).units.get(TIP_DEFLECTION, "m")
+    shown, to_shown = shown_unit(response)
+    span, unit = point.most_a - point.least_a, f"{point.unit}/{response}"
     if values.get("pid.coordinate") == "heating_power":
-        span, unit = max(point.most_a**2, point.least_a**2), "A^2/m"
+        span, unit = max(point.most_a**2, point.least_a**2), f"{point.unit}^2/{response}"
     most = span / (_SHARE_OF_RANGE * point.deflection_range_m)
     kp, ki, kd, filter_s = (float(values.get(name, 0.0)) for name in (*_GAINS, "pid.derivative_filter_s"))  # type: ignore[arg-type]
     per_gain = (1.0, sample_period_s, 1.0 / (filter_s + sample_period_s))
@@ -157,7 +162,8 @@ def check_device_limits(preset: str, sample_period_s: float, values: Mapping[str
         if abs(gain) * factor > most:
             raise ValueError(
                 f"{name}: found {gain:g}, need at most {most / factor:.3g} ({unit} at once): beyond, "
-                f"{1e6 * _SHARE_OF_RANGE * point.deflection_range_m:.2g} um of noise swing the current from end to end"
+                f"{to_shown * _SHARE_OF_RANGE * point.deflection_range_m:.2g} {shown} of noise swing the drive from end to "
+                "end"
             )
 
 

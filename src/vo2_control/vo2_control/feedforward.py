@@ -36,8 +36,8 @@ __all__ = [
     "Ahead",
     "HysteresisInverse",
     "InverseFeedforward",
+    "NonMonotonicSolver",
     "PlayInverse",
-    "PreisachInverse",
     "ThermalPath",
     "feedforward_from_model",
 ]
@@ -109,7 +109,7 @@ class LawSolver:
         return self._law.step(temperature_degc, self._state)
 
 
-class PreisachInverse:
+class NonMonotonicSolver:
     """Non-monotonic Preisach model by the algorithm of section 5.4.1.
 
     A deflection that needs two temperatures is approached by the first until the memory has changed.
@@ -261,8 +261,11 @@ class InverseFeedforward:
 def _inverse_of(law: Law, temperature_range: tuple[float, float]) -> HysteresisInverse:
     if isinstance(law, PlayBank):
         return PlayInverse(law.egpi(), temperature_range)
-    if isinstance(law, NonMonotonicPreisach):
-        return PreisachInverse(law)
+    # that of section 5.4.1 visits the ends of its grid
+    if isinstance(law, NonMonotonicPreisach) and isinstance(
+        law.inverse(temperature_range), NonMonotonicInverse
+    ):
+        return NonMonotonicSolver(law)
     return LawSolver(law, temperature_range)
 
 

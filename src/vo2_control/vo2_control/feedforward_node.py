@@ -71,10 +71,8 @@ class FeedforwardNode(CommandNode):
             return
         self._ahead, self._reach = ahead, reach(ahead)
         self._restart()
-        low, high = self._reach
-        self._diagnostics.report(
-            "model", "ok", f"inverse of the model, {1e6 * low:.2f} to {1e6 * high:.2f} um reachable"
-        )
+        shown = self._settings(self._reach).shown(*self._reach)
+        self._diagnostics.report("model", "ok", f"inverse of the model, {shown} reachable")
 
     def _restart(self) -> None:
         """Start from a long rest without current, with nothing held."""

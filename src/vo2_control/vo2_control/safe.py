@@ -9,14 +9,15 @@ import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
+from vo2_models.units import shown_unit
 from vo2_models.validation import positive_number
 
 from vo2_control.controller import Controller
 
 __all__ = ["OPEN", "Decision", "SafetySettings", "Supervisor"]
 
-ABSURD_M = 1.0
-"""Deflection [m] that no microactuator has: a value beyond is as good as none."""
+ABSURD = 10.0
+"""Multiple of what the device reaches beyond which a deflection is as good as none."""
 _NOT_FOLLOWED = "the measured current does not follow the command: the loop closes once it does"
 Mode = Literal["idle", "starting", "tracking", "limited", "holding", "safe"]
 OPEN: tuple[Mode, ...] = ("idle", "starting", "safe")
@@ -34,7 +35,8 @@ class SafetySettings:
     hold_periods : sample periods for which the last current is held without good input
     reach_m : lowest and highest deflection that the device reaches [m]; references are clipped to it
     wall_time : whether time passes, and the plant lets go, while no samples are answered
-    unit : of the drive, in messages
+    unit, response_unit : of the drive and of the deflection, which stands for any response; for m in this file, too
+    range_m : lowest and highest deflection by the device's file [m]
     """
 
     sample_period_s: float
@@ -43,6 +45,8 @@ class SafetySettings:
     reach_m: tuple[float, float] = (-math.inf, math.inf)
     wall_time: bool = False
     unit: str = "A"
+    response_unit: str = "m"
+    range_m: tuple[float, float] = (-1e9, 1e9)
 
     def __post_init__(self) -> None:
         positive_number(self.sample_period_s, "sample_period_s")
@@ -53,6 +57,19 @@ class SafetySettings:
         low, high = self.reach_m
         if not low < high:
             raise ValueError(f"reach_m: found {low:g} to {high:g}, need lowest below highest")
+
+    @property
+    def absurd_m(self) -> float:
+        """Magnitude [m] beyond which a deflection is as good as none."""
+        low, high = self.range_m
+        ends = [abs(end) for end in (low, high, high - low, *self.reach_m) if math.isfinite(end)]
+        return ABSURD * max(ends)
+
+    def shown(self, *values_m: float) -> str:
+        """Return deflections [m] in words: "2.00 to 58.00 um"."""
+        unit, factor = shown_unit(self.response_unit)
+        digits = ".2f" if unit == "um" else ".4g"
+        return f"{' to '.join(format(factor * value, digits) for value in values_m)} {unit}"
 
 
 class Decision(NamedTuple):
@@ -134,9 +151,12 @@ class Supervisor:
         the controller's memory with it: an integrator must not wind up on a device that does not listen.
         """
         reference = self.reachable(reference_m)
-        known = math.isfinite(reference_m) and abs(reference) < ABSURD_M
-        if not (known and abs(estimate_m) < ABSURD_M):
-            return self._without_input(time_s, self._fault(reference_m, estimate_m))
+        for name, given, used in (
+            ("estimate", estimate_m, estimate_m),
+            ("reference", reference_m, reference),
+        ):
+            if not (math.isfinite(given) and abs(used) < self.settings.absurd_m):
+                return self._without_input(time_s, self._fault(name, given))
         if self._mode in OPEN:
             start = self._controller.reset(self._current, reference, estimate_m, feedforward_a)
             if not followed:
@@ -147,12 +167,9 @@ class Supervisor:
         self._last_good_s = time_s
         self._mode, self._reason = "tracking", ""
         if reference != reference_m:
-            low, high = self.settings.reach_m
+            shown = self.settings.shown
             self._mode = "limited"
-            self._reason = (
-                f"reference of {1e6 * reference_m:.2f} um is outside the reachable {1e6 * low:.2f} to "
-                f"{1e6 * high:.2f} um: clipped"
-            )
+            self._reason = f"reference of {shown(reference_m)} is outside the reachable {shown(*self.settings.reach_m)}: clipped"
         return Decision(self._current, self._mode, self._reason)
 
     def repeat(self, time_s: float) -> Decision:
@@ -183,8 +200,9 @@ class Supervisor:
             self._reason = f"{fault}: safe current {self._current:.6g} {self.settings.unit}"
         return Decision(self._current, self._mode, self._reason)
 
-    @staticmethod
-    def _fault(reference_m: float, estimate_m: float) -> str:
-        if not abs(estimate_m) < ABSURD_M:
-            return f"estimate is {estimate_m:.3g} m"
-        return f"reference is {reference_m:.3g} m"
+    def _fault(self, name: str, value_m: float) -> str:
+        """What is wrong with a value, the same words for all that are beyond the limit."""
+        if not math.isfinite(value_m):
+            return f"{name} is {value_m}"
+        limit = self.settings.shown(self.settings.absurd_m)
+        return f"{name} is beyond {limit}, {ABSURD:g} times what the device reaches: check its unit"

@@ -11,7 +11,15 @@ from vo2_models.validation import positive_number
 
 from vo2_control.controller import LinearLaw
 
-__all__ = ["Margins", "SampledPlant", "ThermalLag", "closed_loop_radius", "loop_margins"]
+__all__ = [
+    "Margins",
+    "SampledPlant",
+    "ThermalLag",
+    "closed_loop_radius",
+    "loop_margins",
+    "modes",
+    "with_modes",
+]
 
 Array = NDArray[np.float64]
 
@@ -142,7 +150,7 @@ def loop_margins(law: LinearLaw, plant: SampledPlant, *, points: int = 1500) -> 
             f"law: found a sample period of {law.sample_period_s:g} s, need the plant's {plant.sample_period_s:g} s"
         )
     radius = closed_loop_radius(law, plant)
-    angle = np.pi * np.logspace(-6, 0, points)
+    angle = with_modes(np.pi * np.logspace(-6, 0, points), plant)
     loop = -_response(law.a, law.b[:, 1], law.c, float(law.d[1]), angle) * _response(
         plant.a, plant.b, plant.c, 0.0, angle
     )
@@ -164,6 +172,36 @@ def loop_margins(law: LinearLaw, plant: SampledPlant, *, points: int = 1500) -> 
         gain_margin=float(gain_margin),
         phase_margin_deg=float(min(phases)) if phases else np.inf,
     )
+
+
+def modes(plant: SampledPlant) -> NDArray[np.complex128]:
+    """Return the poles (k,) of the modes of a plant that ring, one of each pair.
+
+    Parameters
+    ----------
+    plant : sampled
+    """
+    poles = np.linalg.eigvals(plant.a)
+    # the poles of a delay are at 0, wherever rounding puts them
+    return np.asarray(poles[(np.abs(poles) > 0.1) & (poles.imag > 1e-6 * np.abs(poles))], dtype=np.complex128)
+
+
+def with_modes(angle: Array, *plants: SampledPlant) -> Array:
+    """Return angles of a frequency grid with more of them where a lightly damped mode of a plant has its peak.
+
+    Parameters
+    ----------
+    angle : (m,) frequency times sample period [rad], growing
+    plants : whose modes are looked at
+
+    Returns
+    -------
+    (m + k,) angles, growing
+    """
+    poles = np.concatenate([modes(plant) for plant in plants])
+    width = -np.log(np.minimum(np.abs(poles), 1 - 1e-9))
+    near = np.add.outer(np.linspace(-3, 3, 25), np.zeros(poles.size)) * width + np.angle(poles)
+    return np.union1d(angle, near[(near > angle[0]) & (near < angle[-1])])
 
 
 def _response(a: Array, b: Array, c: Array, d: float, angle: Array) -> NDArray[np.complex128]:

@@ -25,7 +25,14 @@ from vo2_models.validation import finite_array, positive_number
 
 from vo2_control.controller import Coordinate
 from vo2_control.pid import PidGains, pid_law
-from vo2_control.sampled_loop import Margins, SampledPlant, ThermalLag, closed_loop_radius, loop_margins
+from vo2_control.sampled_loop import (
+    Margins,
+    SampledPlant,
+    ThermalLag,
+    closed_loop_radius,
+    loop_margins,
+    with_modes,
+)
 
 __all__ = ["LocalSlopes", "TunedPid", "local_slopes", "tune_pid"]
 
@@ -110,6 +117,7 @@ def tune_pid(
     time_constant_spread: float = 0.2,
     cost: Callable[[PidGains], float] | None = None,
     coordinate: Coordinate = "current",
+    sampled: Callable[[ThermalLag], SampledPlant] | None = None,
 ) -> TunedPid:
     """Return the gains of least cost whose sampled loop keeps Ms and Mt below `max_sensitivity`.
 
@@ -124,6 +132,7 @@ def tune_pid(
     time_constant_spread : relative spread of the time constant covered, for instance 0.2 for +-20 %
     cost : of gains that keep the limits, to be minimised; None for the largest Ki
     coordinate : passed on to the gains
+    sampled : what a lag is with all that comes after it, see `model_plant.linear_plant`; None for the lag alone
 
     Raises
     ------
@@ -134,12 +143,13 @@ def tune_pid(
         raise ValueError(f"max_sensitivity: found {max_sensitivity:g}, need more than 1.05")
     if any(s * plant.gain <= 0 for s in slopes):
         raise ValueError(f"slopes: found {list(slopes)} with a plant gain of {plant.gain:g}, need one sign")
-    corners = [
-        replace(plant, gain=slope, time_constant_s=plant.time_constant_s * factor).sampled(period)
+    lags = [
+        replace(plant, gain=slope, time_constant_s=plant.time_constant_s * factor)
         for slope, factor in itertools.product(
             (plant.gain, *slopes), (1 - time_constant_spread, 1.0, 1 + time_constant_spread)
         )
     ]
+    corners = [sampled(lag) if sampled else lag.sampled(period) for lag in lags]
     delay = plant.dead_time_s + period / 2
     filter_s = delay / 4 if derivative else 0.0
     search = _Search(corners, period, filter_s, max_sensitivity)
@@ -149,7 +159,8 @@ def tune_pid(
     least = math.inf
     best: PidGains | None = None
     grids = [
-        np.geomspace(3e-3, 1.5, 14 if cost else 30),
+        # behind a lightly damped mode little is left but the integral
+        np.geomspace(3e-5, 1.5, 24) if sampled else np.geomspace(3e-3, 1.5, 14 if cost else 30),
         np.array([0.0, 0.3, 0.8]) if derivative else np.zeros(1),
         np.geomspace(0.02, 1.0, 6) if cost else np.ones(1),
     ]
@@ -188,7 +199,7 @@ class _Search:
     """Largest Ki within the limit for given Kp and Kd, on a frequency grid."""
 
     def __init__(self, corners: list[SampledPlant], period: float, filter_s: float, limit: float) -> None:
-        angle = np.pi * np.geomspace(1e-4, 1, 160)
+        angle = with_modes(np.pi * np.geomspace(1e-4, 1, 160), *corners)
         z = np.exp(1j * angle)
         self._corners, self._period, self._filter, self._limit = corners, period, filter_s, limit
         self._plant = np.array([c.response(angle / period) for c in corners])

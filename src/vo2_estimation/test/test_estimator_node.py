@@ -11,6 +11,7 @@ from vo2_interface.model import model_parameters
 from vo2_interface.parameters import ros_parameters
 from vo2_interface.testing import bench
 from vo2_models.device import DeviceModel, truth
+from vo2_models.device.description import preset
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.self_sensing import PolynomialSelfSensing, self_sensing
 
@@ -67,6 +68,28 @@ def test_kind_drive_runs_the_whole_model_that_fit_wrote():
         # it has no bound that could grow over what it did not see
         answer(rig, 45 * MS, {"heater_current": levels[40], "film_resistance": 1e5})
         rig.until(lambda: "is not in the estimate" in rig.status("estimator: gaps")[0])
+
+
+@pytest.mark.parametrize("every_us", [10_000, 250])
+def test_kind_drive_steps_for_as_long_as_passes_between_samples(every_us):
+    """Rates other than that of the device file (1 kHz): the lag is one of time and not of samples."""
+    device = preset("integrated")
+    bank = PlayBank(
+        weights=[25e-6], radii=[0.0], rising_slopes=[0.2], rising_offsets=[-12.4],
+        falling_slopes=[0.2], falling_offsets=[-11.0], polynomial=[25e-6],
+    )  # fmt: skip
+    model = DeviceModel("integrated", {"thermal.time_constant": 12e-3}, deflection=bank)
+    held = np.repeat([0.0068, 0.0062, 0.0074], 20)
+    expected = model.simulate(held, dt=every_us * 1e-6, noise=False)["true_tip_deflection"]
+    with bench(["--ros-args", "-p", "kind:=drive"]) as rig:
+        rig.hear("/vo2/estimate", ("tip_deflection", "film_resistance"))
+        node = rig.add(EstimatorNode)
+        with_model(node, model.to_parameters())
+        stamps = [k * every_us * 1000 for k in range(held.size)]
+        found = [answer(rig, t, {"heater_current": i})[0] for t, i in zip(stamps, held, strict=True)]
+        # nobody knows how long the first sample's drive has flowed
+        assert found[8:] == pytest.approx(expected[8:], abs=0.01 * device.deflection_range)
+        assert node._diagnostics.level("period") == "ok"
 
 
 def test_without_model_every_estimate_is_nan_and_the_remedy_is_told_once():

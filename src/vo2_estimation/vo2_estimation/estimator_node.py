@@ -215,6 +215,7 @@ class EstimatorNode(Node):
         if used_ns is None:
             return
         step_ns = stamp_ns - used_ns
+        scheme.pass_time(1e-9 * step_ns)
         # a clock of wall time jitters: after a late sample the next one comes early
         self._steps_ns.append(step_ns)
         if (

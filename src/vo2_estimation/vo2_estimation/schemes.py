@@ -57,6 +57,10 @@ class Scheme(Protocol):
         """Samples before the next one were lost."""
         ...
 
+    def pass_time(self, step_s: float) -> None:
+        """Take note of the time between the last sample that was used and the next one [s]."""
+        ...
+
     @property
     def known(self) -> bool:
         """Whether its memory is known: no lost sample can matter any more."""
@@ -93,6 +97,9 @@ class ResistanceScheme:
         """Whether its memory is known: no lost sample can matter any more."""
         return self._memory.known
 
+    def pass_time(self, step_s: float) -> None:
+        """Its dynamics, where it has any, hold for one period."""
+
     def usable(self, value: float) -> bool:
         """Whether the resistance [ohm] can be used."""
         return math.isfinite(value) and value > 0.0
@@ -125,6 +132,9 @@ class DriveScheme:
     def restart(self) -> None:
         """Forget: the next sample comes from lower saturation."""
         self._states = [law.initial_memory() if law else np.empty(0) for law in self._laws]
+
+    def pass_time(self, step_s: float) -> None:
+        """Its laws know no time."""
 
     def bridge(self) -> None:
         """Samples before the next one were lost: it has no bound that could say so."""

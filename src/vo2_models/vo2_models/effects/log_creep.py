@@ -25,7 +25,7 @@ EFFECT = Effect(
         "integrated": {"rate": (3e-3, 0.012), "onset": (2e-3, 0.02)},
         "peltier": {"rate": (3e-3, 0.012), "onset": (5.0, 40.0)},
     },
-    equation="D_measured = (1 + gain) D - rate times what is left to come, which falls by one for each e-fold of time after a step",
+    equation="D_measured = (1 + gain) D - rate times what is left to come, which falls by one in each e-fold after a step",
     excitation="steps held for times of very different lengths",
     source="piezo creep, e.g. Vieira, IEEE Trans. Instrum. Meas. 35, 1986; relaxation by a wide spectrum of barriers",
     statement=(
