@@ -84,9 +84,9 @@ def test_a_clock_and_a_length_that_cannot_be_are_refused(recording):
 def test_few_samples_are_counted_over_all_recordings_and_need_both_branches(recording):
     assert check_calibration([recording.slice(0, 300), recording.slice(300, 599)], "integrated")[1] == []
     (note,) = check_calibration([recording.slice(0, 499)], "integrated")[1]
-    assert note.startswith("499 samples are few")
+    assert note.startswith("recording 1: 499 samples are few")
     with pytest.raises(
-        ValueError, match=r"only goes one way.*of one branch, need at least 500 samples, found 290"
+        ValueError, match=r"recording 1: found 290 samples and .*only goes one way.*need at least 500"
     ):
         check_calibration([recording.slice(0, 290)], "integrated")
 

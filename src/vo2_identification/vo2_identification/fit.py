@@ -46,6 +46,8 @@ def main(args: Sequence[str] | None = None) -> int:
     options = parser.parse_args(args)
     if bool(options.bag) == bool(options.bags):
         parser.error("need --bag BAG, which may be repeated, or --bags FOLDER")
+    if options.bags and options.gap_limit is not None:
+        parser.error("--gap-limit is of --bag")
     try:
         return _run_folder(options) if options.bags else _run(options)
     except KeyboardInterrupt:
@@ -88,6 +90,7 @@ def _run(options: argparse.Namespace) -> int:
             names=names,
             self_sensing=not options.simulation_only,
             law=options.law,
+            gap_limit=options.gap_limit,
         )
         progress.clear()
         save_model_parameters(options.output, parameters, comment=f"{MARK} to {', '.join(names)}")
@@ -222,8 +225,25 @@ def _parser() -> argparse.ArgumentParser:
         help="leave out the laws of self-sensing that the estimator's kinds combined, preisach, egpi and polynomial need: half "
         "the time",
     )
+    parser.add_argument(
+        "--gap-limit",
+        type=_share,
+        metavar="SHARE",
+        help="with --bag: fit a recording of which up to this share is gaps, and whose clock may be irregular (default: 0.3, as "
+        "diagnose, and a regular clock): what the device did in a gap is lost, and the loops are wrong by it",
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress on standard error")
     return parser
+
+
+def _share(text: str) -> float:
+    try:
+        share = float(text)
+    except ValueError:
+        share = math.nan
+    if not 0.0 <= share <= 1.0:
+        raise argparse.ArgumentTypeError(f"found {text!r}, need a share from 0 to 1")
+    return share
 
 
 def _plays(text: str) -> int:

@@ -27,12 +27,18 @@ __all__ = ["RESULTS", "main", "predicted_recording", "prediction_page"]
 
 _DESCRIPTION = """
 Run a fitted model on the drive of a bag, of a table, or on one that is written down, and write the responses that it
-expects, with bounds that 95 of 100 samples should lie between. Responses that the bag or the table has are compared.
+expects, with bounds by what the fit missed of held-out parts of its calibration. Responses that the bag or the table has are
+compared.
 """
 RESULTS = ("prediction.csv", "bag", "report.html")
 """What the command writes into its folder."""
 _FEW_INSIDE = 0.9
 """Share of the samples within the bounds below which these are told to be too narrow."""
+_BOUNDS = (
+    "bounds: 1.96 times noise and what the fit missed of held-out parts of its calibration, more of it where a loop is steep. "
+    "Fewer than 95 % of the samples lie between them on small loops within the range, in a closed loop, where the calibration "
+    "has not been, and once the device has changed"
+)
 _BEYOND = 1e-3
 """Share of its range by which a drive may be read beyond its limits."""
 _TIME = ("time_s", "time")
@@ -135,14 +141,14 @@ def summary(prediction: Prediction, device: DeviceDescription) -> list[str]:
                 f"measured span; {100 * one.inside:.0f} % of the samples within the bounds"
             )
             if one.inside < _FEW_INSIDE:
-                text += " where 95 % are meant: the model misses more here than of its calibration"
+                text += ": the model misses more here than of its calibration"
             if one.unknown:
                 text += (
                     f"; its first {one.unknown} samples, until {device.drive_channel} has been at an end of its range, begin "
                     "at a state that the drive does not show, and are not judged"
                 )
         lines.append(text)
-    return lines
+    return [*lines, _BOUNDS]
 
 
 def prediction_page(prediction: Prediction, model: DeviceModel) -> str:
@@ -182,9 +188,7 @@ def prediction_page(prediction: Prediction, model: DeviceModel) -> str:
                     axes.plot(x, one.measured, color=COLOURS["true"], label="measured")
                 axes.plot(x, one.value, color=COLOURS["fit"], linestyle="--", label="predicted")
                 axes.set_yscale("log" if role == RESISTANCE else "linear")
-            course.fill_between(
-                time_s, one.lower, one.upper, color=COLOURS["fit"], alpha=0.2, label="95 % bounds"
-            )
+            course.fill_between(time_s, one.lower, one.upper, color=COLOURS["fit"], alpha=0.2, label="bounds")
             if judged:
                 _residual(
                     places["d"],

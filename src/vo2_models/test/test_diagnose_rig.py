@@ -141,7 +141,9 @@ def test_agreement_says_what_the_residual_is_measured_by(unchanged, excess, chan
     for verdict in ("agrees", "drifted"):
         decision = replace(unchanged.decision, verdict=verdict, chosen=None, unlike_noise=False)
         told = report._summary(replace(unchanged, located=located, decision=decision), [], [])
-        assert f"the residual exceeds the noise by {100 * excess:.0f} % of its power, " in told
+        assert (
+            f"the residual exceeds {report._floor(unchanged)} by {100 * excess:.0f} % of its power, " in told
+        )
         assert told.endswith(f"{why}.")
 
 

@@ -10,13 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device.description import PRESETS, DeviceDescription, preset
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nominal import judged
+from vo2_models.diagnosis.nuisance import coverage_of
 from vo2_models.identification.plausibility import impossible, unusual
 from vo2_models.recording import (
     COMMANDED_CURRENT,
     HEATER_CURRENT,
     RESISTANCE,
     Recording,
+    clock_of,
+    jitter_of,
+    regular_instants,
 )
 from vo2_models.self_sensing.scheme import self_sensing
 from vo2_models.units import shown_unit
@@ -25,10 +30,12 @@ if TYPE_CHECKING:
     from vo2_models.device.model import DeviceModel
     from vo2_models.identification.device_fit import FitResult
 
-__all__ = ["check_calibration", "judge_fit", "noise_level"]
+__all__ = ["bare_stretches", "check_calibration", "judge_fit", "noise_level"]
 
-_SHORTEST = 500
-_SHORTEST_QUASI_STATIC = 20
+_MANY, _FEWEST, _SHORTEST = 500, 150, 20
+"""Samples of a calibration below which it is told to be few, and of a heated body refused; and the least of each recording."""
+_BARE = 0.1
+"""Share of the operating range without samples from which a stretch of it is told."""
 _SETTLED = 20.0
 """Time constants between two samples from which a lag cannot be seen; `diagnose` refuses such a recording."""
 _MOST_MISSING = 0.5
@@ -42,7 +49,11 @@ _TOLD = 100
 
 
 def check_calibration(
-    recordings: Sequence[Recording], device: str, *, names: Sequence[str] = ()
+    recordings: Sequence[Recording],
+    device: str,
+    *,
+    names: Sequence[str] = (),
+    gap_limit: float | None = None,
 ) -> tuple[list[Recording], list[str]]:
     """Return the recordings without the channels that hold nothing, and what is doubtful about them.
 
@@ -51,27 +62,32 @@ def check_calibration(
     recordings : in the units of a recording (A, ohm, m, degC)
     device : as `preset` takes it
     names : of the recordings, for the messages
+    gap_limit : share of a recording that may be gaps, of stamps on any clock; by default that of a diagnosis, on a regular one
 
     Raises
     ------
-    ValueError : too few samples, values that the device cannot have, a clock that it cannot have; one line.
+    ValueError : too few samples, too many gaps, values that the device cannot have, a clock that it cannot have; one line.
     """
     checked, notes = [], []
     nominal = preset(device)
+    total = sum(len(recording) for recording in recordings)
+    all_of_them = _name(names, 0) if len(recordings) == 1 else "recordings"
+    if nominal.has_body and total < _FEWEST:
+        raise ValueError(f"{all_of_them}: found {total} samples, need at least {_FEWEST}")
     still = _constant(recordings, nominal.channels[1:])
     if len(devices := list(dict.fromkeys(one.device for one in recordings if one.device))) > 1:
         raise ValueError(
             f"recordings: found recordings of the devices {' and '.join(devices)}, need those of one device"
         )
     for k, recording in enumerate(recordings):
-        name = names[k] if k < len(names) else f"recording {k + 1}"
+        name = _name(names, k)
         if recording.device_id not in ("", nominal.id) and nominal.id not in PRESETS:
             notes.append(
                 f"{name}: says that it is of device {recording.device}, it is fitted as device {nominal.id}"
             )
-        least = _SHORTEST if nominal.has_body else _SHORTEST_QUASI_STATIC
-        if len(recording) < least:
-            raise ValueError(f"{name}: found {len(recording)} samples, need at least {least}")
+        if len(recording) < _SHORTEST:
+            raise ValueError(f"{name}: found {len(recording)} samples, need at least {_SHORTEST}")
+        gaps = _gaps(recording, nominal, name, gap_limit)
         if found := impossible(recording, device):
             raise ValueError(f"{name}: {'; '.join(found)}")
         known = nominal.has_body and nominal.tells("sampling")
@@ -98,13 +114,11 @@ def check_calibration(
         recording = replace(recording, channels=kept)
         notes += [f"{name}: {text}" for text in unusual(recording, device)]
         notes += [f"{name}: {nominal.names[c]} has no value at all and is left out" for c in empty]
-        notes += [f"{name}: {text}" for text in _missing(recording, empty, nominal)]
-        if len(recording) < _SHORTEST:
-            notes.append(
-                f"{name}: {len(recording)} samples are few: what lies between them is a smooth guess"
-            )
+        notes += [f"{name}: {text}" for text in (*_missing(recording, empty, nominal), *gaps)]
         kept = {channel: values for channel, values in recording.channels.items() if channel not in empty}
         checked.append(replace(recording, channels=kept))
+    if total < _MANY:
+        notes.append(f"{all_of_them}: {total} samples are few: what lies between them is a smooth guess")
     for channel, value in still.items():
         notes.append(
             f"{nominal.names[channel]} is {value:.6g} in every sample and is left out: a broken lead or a stuck converter"
@@ -112,8 +126,42 @@ def check_calibration(
     if nominal.has_body and (
         text := _one_way(checked, hot_is_high=nominal.operating_range[1] > nominal.operating_range[0])
     ):
+        if total < _MANY:
+            raise ValueError(
+                f"{all_of_them}: found {total} samples and {text}; of one branch, need at least {_MANY}"
+            )
         notes.append(text)
     return checked, notes
+
+
+def _name(names: Sequence[str], k: int) -> str:
+    return names[k] if k < len(names) else f"recording {k + 1}"
+
+
+def _gaps(recording: Recording, device: DeviceDescription, name: str, limit: float | None) -> list[str]:
+    """Say that a gap hides what the drive did; refuse a recording that is gaps to more than a share, as a diagnosis does."""
+    limits = Limits()
+    steps = np.diff(recording.time_s)
+    clock = regular_instants(recording.time_s) if device.has_body else clock_of(recording)
+    gaps = np.diff(clock[2]) > 1 if clock else steps > limits.gap * recording.sample_period_s
+    share = float(steps[gaps].sum() / (recording.time_s[-1] - recording.time_s[0]))
+    most = limits.gaps if limit is None else limit
+    if share > most:
+        raise ValueError(
+            f"{name}: gaps make up {100 * share:.0f} % of the recording, need at most {100 * most:.0f} % (fit: --gap-limit)"
+        )
+    jitter = jitter_of(recording.time_s)
+    if limit is None and clock is None and jitter > limits.unsteady:
+        raise ValueError(
+            f"{name}: {100 * jitter:.0f} % of the sample periods differ from the median {recording.sample_period_s:.4g} s by "
+            "over a fifth: the clock is not that of a regular acquisition; check the stamps (fit: --gap-limit takes it)"
+        )
+    if not gaps.any():
+        return []
+    return [
+        f"{np.count_nonzero(gaps)} gaps are {100 * share:.1f} % of the time: where no command is known, the drive is taken as "
+        "held over them, and what the loops went through meanwhile is lost"
+    ]
 
 
 def judge_fit(result: FitResult, recordings: Sequence[Recording]) -> list[str]:
@@ -148,10 +196,11 @@ def judge_fit(result: FitResult, recordings: Sequence[Recording]) -> list[str]:
             )
         noise = noise_level(channel, sensor.noise)
         declared = device.noise.get(channel)
-        if device.id not in PRESETS and declared and sensor.noise > _OVER_DECLARED * declared:
+        if declared and sensor.noise > _OVER_DECLARED * declared:
+            says = f"device {device.id} has" if device.id in PRESETS else "the device file says"
             notes.append(
-                f"{name}: its noise was found to be {sensor.noise / declared:.2g} times what the device file says: what wanders "
-                "slowly on held levels may be the device's, and diagnose takes it for the sensor's"
+                f"{name}: its noise was found to be {sensor.noise / declared:.2g} times what {says}: what the law misses, or "
+                "what wanders slowly on held levels, may be in it, and diagnose takes it for the sensor's"
             )
         if device.has_body and sensor.residual > max(
             _POOR_NOISE * noise, _POOR_SHARE * float(np.ptp(values))
@@ -167,6 +216,35 @@ def judge_fit(result: FitResult, recordings: Sequence[Recording]) -> list[str]:
                 "will not tell changes of less than about twice that from it"
             )
     return notes + _not_unique(result.model)
+
+
+def bare_stretches(result: FitResult) -> list[str]:
+    """Return which stretches of the operating range the calibration of a heated body hardly covers, in one sentence or none.
+
+    Parameters
+    ----------
+    result : fit to the calibration
+    """
+    device = result.model.description
+    if not device.has_body or device.power_gain:
+        return []  # of the latter the temperatures at the ends of the range go by its resistance there
+    starts = [0, *result.ends[:-1]]
+    covered = coverage_of([result.path[a + 1 : b] for a, b in zip(starts, result.ends, strict=True)])
+    low, high = sorted(device.steady_temperature(drive) for drive in device.operating_range)
+    places = np.linspace(low, high, 401)
+    bare = np.concatenate([[False], ~covered.holds(places), [False]])
+    edges = np.flatnonzero(np.diff(bare.astype(int))).reshape(-1, 2)
+    told = [
+        f"{places[a]:.0f} to {places[b - 1]:.0f}"
+        for a, b in edges
+        if places[b - 1] - places[a] > _BARE * (high - low)
+    ]
+    if not told:
+        return []
+    return [
+        f"hardly a sample at {' and '.join(told)} degC, of the operating range {low:.0f} to {high:.0f} degC: what the loops do "
+        "there is a guess, and diagnose leaves it out; record there too"
+    ]
 
 
 def _not_unique(model: DeviceModel) -> list[str]:
@@ -229,21 +307,13 @@ def _usable(recording: Recording, channel: str) -> NDArray[np.bool_]:
 
 
 def _missing(recording: Recording, empty: Sequence[str], device: DeviceDescription) -> list[str]:
-    """Say which channels miss much, and that a gap hides what the drive did."""
+    """Say which channels miss much."""
     found = []
     for channel in device.channels[1:]:
         if channel in recording and channel not in empty:
             share = 1.0 - float(np.mean(_usable(recording, channel)))
             if share > _MOST_MISSING:
                 found.append(f"{device.names[channel]} has no value in {100 * share:.0f} % of the samples")
-    steps = np.diff(recording.time_s)
-    gaps = steps > 1.5 * recording.sample_period_s
-    if gaps.any():
-        share = float(steps[gaps].sum() / (recording.time_s[-1] - recording.time_s[0]))
-        found.append(
-            f"{np.count_nonzero(gaps)} gaps are {100 * share:.1f} % of the time: where no command is known, the drive is "
-            "taken as held over them, and what the loops went through meanwhile is lost"
-        )
     return found
 
 

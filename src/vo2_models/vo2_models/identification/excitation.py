@@ -12,9 +12,8 @@ from plain dictionaries.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -226,23 +225,6 @@ class Excitation:
         before = np.concatenate([self.levels[:1], self.levels])[index]
         share = np.clip(share, 0.0, 1.0)
         return np.asarray(before * (1 - share) + self.levels[index] * share, dtype=np.float64)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain lists, as JSON and YAML hold them."""
-        return {
-            "levels": self.levels.tolist(),
-            "ramp_s": self.ramp_s.tolist(),
-            "hold_s": self.hold_s.tolist(),
-            "segments": [list(segment) for segment in self.segments],
-        }
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Excitation:
-        """Read what `to_dict` wrote; raise `ValueError` naming a missing key."""
-        missing = [key for key in ("levels", "ramp_s", "hold_s") if key not in data]
-        if missing:
-            raise ValueError(f"excitation: found no {', '.join(missing)}, need levels, ramp_s and hold_s")
-        return cls(data["levels"], data["ramp_s"], data["hold_s"], tuple(data.get("segments", ())))
 
 
 def composite_recording(

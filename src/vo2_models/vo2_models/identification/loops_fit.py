@@ -29,6 +29,9 @@ COLD = -300.0
 """Temperature [degC] put between two recordings, which brings every play back to its cold saturation."""
 STAIRCASE = 0.25
 """Recordings whose steps are all smaller than this share of the range do not pin down the time constant."""
+_MOVES = 0.05
+"""Distance of the film from its steady temperature, as a share of its range, that one sample in a hundred must have for a
+recording to have transients."""
 STAIRCASE_BIAS = 0.018
 """Relative error (one standard deviation) that the time constant then has beside its scatter: over the simulated
 devices 1 to 8, calibrated with a damped oscillation of 20 levels, it was 1.7 % (at most 3.5 %); with 60 random levels
@@ -131,8 +134,9 @@ def fit_loops(
     spread = _thermal_spread(model, grids, loops)
     tau = model.scalars["thermal.time_constant"]
     if spread["thermal.time_constant"] > 0.25 * tau:
-        note = "no transients in the recording: time constant and dead time are the preset's"
-        return replace(loops, notes=(note,))
+        return replace(
+            loops, notes=(_no_lag_note(model, grids, loops, spread["thermal.time_constant"] / tau),)
+        )
     loops = _fit_together(model, grids, loops, values)
     std = _thermal_spread(replace(model, scalars=loops.scalars), grids, loops)
     jumps = _jumps(model, grids)
@@ -150,10 +154,27 @@ def fit_loops(
     return replace(loops, std=std, notes=(note,))
 
 
+def _no_lag_note(model: DeviceModel, grids: Sequence[GriddedRecording], loops: Loops, spread: float) -> str:
+    """Why time constant and dead time are the preset's: nothing shows them, or what the loops leave hides them."""
+    targets = np.concatenate([np.r_[np.nan, target] for target in _steady(model, grids)])
+    behind = np.abs(targets + model.scalars["thermal.ambient"] - loops.path)
+    if np.nanquantile(behind, 0.99) < _MOVES * (np.nanmax(targets) - np.nanmin(targets)):
+        return "no transients in the recording: time constant and dead time are the preset's"
+    return (
+        "the recording has transients, but what the loops leave over hides the lag (time constant +- "
+        f"{100 * spread:.3g} %): time constant and dead time are the preset's"
+    )
+
+
+def _steady(model: DeviceModel, grids: Sequence[GriddedRecording]) -> list[Floats]:
+    """Rise (n,) of the steady temperature by the drive of each recording [K]."""
+    linear, square = model.scalars["thermal.linear_gain"], model.scalars["thermal.square_gain"]
+    return [linear * grid.current + square * np.square(grid.current) for grid in grids]
+
+
 def _jumps(model: DeviceModel, grids: Sequence[GriddedRecording]) -> Floats:
     """Steps (n,) of the steady temperature between neighbouring samples, as a share of its range."""
-    linear, square = model.scalars["thermal.linear_gain"], model.scalars["thermal.square_gain"]
-    targets = [linear * grid.current + square * np.square(grid.current) for grid in grids]
+    targets = _steady(model, grids)
     jumps = np.concatenate([np.abs(np.diff(target)) for target in targets])
     return np.asarray(jumps / np.ptp(np.concatenate(targets)))
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +18,19 @@ from vo2_models.diagnosis.current_reading import current_reading
 from vo2_models.diagnosis.noise import fit_noise, outliers
 from vo2_models.diagnosis.nominal import basis_of, span_of
 from vo2_models.effects.adc_quantization import value_step
-from vo2_models.identification.calibration_check import check_calibration, judge_fit
+from vo2_models.hysteresis.play_bank import PlayBank
+from vo2_models.identification.bank_fit import BankShape, fit_bank
+from vo2_models.identification.calibration_check import bare_stretches, check_calibration, judge_fit
 from vo2_models.identification.command_delay import command_delay
 from vo2_models.identification.completion import completed
 from vo2_models.identification.device_fit import PLAYS, FitResult, fit_device
 from vo2_models.identification.digest import LAGS, digest_of, digest_of_drive
 from vo2_models.identification.enrichment import LOCAL
 from vo2_models.identification.grid import on_grid
+from vo2_models.identification.loop_law import AUTO, held_out_residual, root_mean_square, with_law
 from vo2_models.identification.loop_law import PLAYS as PLAYS_LAW
-from vo2_models.identification.loop_law import with_law
+from vo2_models.identification.loops_fit import SECTIONS
+from vo2_models.identification.play_dictionary import fold_of
 from vo2_models.identification.read_in_time import read_in_time
 from vo2_models.identification.rig_fit import fit_rig
 from vo2_models.parameters import Value
@@ -44,6 +50,10 @@ __all__ = ["fit_model"]
 Floats = NDArray[np.float64]
 UNSTEADY = 0.02
 """Root mean square distance of samples from their instants, in periods, from which a slope is not good enough for the move."""
+_PLAYS_STAY = ("", PLAYS_LAW, AUTO)
+"""Choices of a law that leave the plays of a device with a body; another law brings a misfit of its own."""
+_AGAIN = 40
+"""Iterations of a bank that is fitted to parts of a calibration, from where it stands for all of it."""
 LATE, SURE = 0.1, 4.0
 """Dead time that is told of a device without one, in sample periods, and in its own standard deviations."""
 
@@ -57,6 +67,7 @@ def fit_model(
     names: Sequence[str] = (),
     self_sensing: bool = True,
     law: str = "",
+    gap_limit: float | None = None,
 ) -> tuple[FitResult, dict[str, Value]]:
     """Fit a device and what builds on it.
 
@@ -69,6 +80,7 @@ def fit_model(
     names : of the recordings, for the messages
     law : of `loop_law.LAW_CHOICES`; by default plays, and on a device without body plays or Preisach by held-out error
     self_sensing : whether to fit the laws of self-sensing too, which `estimator` needs and `diagnose` does not
+    gap_limit : share of a recording that may be gaps, as `check_calibration` takes it
 
     Returns
     -------
@@ -83,7 +95,9 @@ def fit_model(
     # the matrices are small: threads inside BLAS would only wait for each other where the processors are busy
     with threadpool_limits(1, user_api="blas"), _own_names(described):
         delay = command_delay(recordings)
-        recordings, notes = check_calibration([aligned(r, delay) for r in recordings], device, names=names)
+        recordings, notes = check_calibration(
+            [aligned(r, delay) for r in recordings], device, names=names, gap_limit=gap_limit
+        )
         description = completed(described, recordings)
         if description.has_body:
             result = fit_device(recordings, description.key, plays=plays, progress=progress)
@@ -99,10 +113,13 @@ def fit_model(
             )
             result = replace(result, model=replace(result.model, command_delay=delay))
         notes += _lateness(result, description, recordings[0].sample_period_s)
+        if description.has_body and law in _PLAYS_STAY:
+            result = _with_misfit(result)
         of_plays = result.model.to_parameters()
         if description.has_body and law not in ("", PLAYS_LAW):
             result = with_law(result, law)
-        result = replace(result, notes=(*notes, *result.notes, *judge_fit(result, recordings)))
+        notes += [*result.notes, *bare_stretches(result), *judge_fit(result, recordings)]
+        result = replace(result, notes=tuple(notes))
         parameters = result.model.to_parameters()
         both = [r for r in recordings if RESISTANCE in r and TIP_DEFLECTION in r]
         if both and description.has_body:
@@ -115,6 +132,29 @@ def fit_model(
         if not description.has_body:
             parameters |= _rig_digest(result, recordings[0])
         return result, parameters
+
+
+def _with_misfit(result: FitResult) -> FitResult:
+    """The fit with what it misses of parts of its calibration: its plays are fitted anew, over the same path, without each."""
+    sensors, path = dict(result.model.sensors), result.path
+    for role, section in SECTIONS.items():
+        law = cast("PlayBank", getattr(result.model, section))
+        if role not in result.residuals or not law.present:
+            continue
+        values, start = law.run(path) + result.residuals[role], BankShape.of_bank(law)
+        good = np.isfinite(values)
+        fold = fold_of(good)
+        if np.count_nonzero(good) - np.bincount(fold[good]).max() < 2 * start.vector.size:
+            continue  # too few to fit without a part of them
+        again = partial(_left_by_plays, start, path, values)
+        sensors[role] = replace(sensors[role], misfit=root_mean_square(held_out_residual(again, good, fold)))
+    return replace(result, model=replace(result.model, sensors=sensors))
+
+
+def _left_by_plays(start: BankShape, path: Floats, values: Floats, given: NDArray[np.bool_]) -> Floats:
+    """What plays leave of all values (n,) that are fitted to some of them."""
+    fit = fit_bank(path, np.where(given, values, np.nan), start, iterations=_AGAIN)
+    return fit.residual_of(path, values)
 
 
 @contextmanager

@@ -8,9 +8,7 @@ channel's noise. Columns of the Jacobian are simulations side by side on the cor
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,6 +23,7 @@ from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.bank_fit import BankShape
 from vo2_models.identification.grid import GriddedRecording
 from vo2_models.identification.levenberg_marquardt import LeastSquares, levenberg_marquardt
+from vo2_models.numerics.parallel import parallel_map
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE
 
 __all__ = ["Coordinate", "Problem"]
@@ -66,7 +65,6 @@ class Problem:
         the model's sensors
     colours : channel -> AR(1) coefficient of the noise, absent for white
     settled : whether the recordings start settled at their first current
-    threads : how many simulations run side by side, None for one per core
     """
 
     model: DeviceModel
@@ -75,7 +73,6 @@ class Problem:
     levels: Mapping[str, float] | None = None
     colours: Mapping[str, float] = field(default_factory=dict)
     settled: bool = False
-    threads: int | None = None
 
     def __post_init__(self) -> None:
         levels = self.levels
@@ -222,8 +219,7 @@ class Problem:
             moved[k] += step
             return (self.residual(moved) - here) / step
 
-        with ThreadPoolExecutor(self.threads or os.cpu_count()) as pool:
-            return np.column_stack(list(pool.map(column, range(theta.size))))
+        return np.column_stack(parallel_map(column, range(theta.size)))
 
     def solve(
         self,
