@@ -12,7 +12,7 @@ from vo2_models.device import DeviceModel
 from vo2_models.device.coefficients import HUGE, blocks
 from vo2_models.device.description import preset
 from vo2_models.device.model import SensorModel
-from vo2_models.diagnosis.adequacy import adequacy_of, reached, sureness
+from vo2_models.diagnosis.adequacy import adequacy_of, behind_the_loop, reached, sureness
 from vo2_models.diagnosis.bend import Bend
 from vo2_models.diagnosis.breakdown import branch_words, breakdown, locate
 from vo2_models.diagnosis.courses import course_columns, gain_of_course, with_courses, worth_their_price
@@ -904,3 +904,22 @@ def test_what_another_channel_shows_does_not_speak_against_an_effect_of_one_sens
     )
     assert option.remaining > 1.5 and reached(option) == {TIP_DEFLECTION}
     assert adequacy_of(option, Limits()).left < 0.1
+
+
+def test_a_drive_that_begins_at_zero_has_a_zero_that_may_move() -> None:
+    nominal = _model()
+    model = replace(nominal.model, scalars={**nominal.model.scalars, "thermal.ambient": 0.0})
+    drifting = {c.name: c.spread for c in constants_of(replace(nominal, model=model)) if c.drifts}
+    assert drifting["thermal.ambient"] == 1.0
+
+
+def test_a_gain_in_the_logged_drive_is_not_behind_the_loop() -> None:
+    energy = {HEATER_CURRENT: 900.0, RESISTANCE: 80.0, TIP_DEFLECTION: 20.0}
+    problem = SimpleNamespace(
+        residual=np.zeros(3),
+        apply_inverse_covariance=lambda vector: vector,
+        energy_by_channel=lambda vector, left: energy,
+    )
+    assert behind_the_loop(problem, 990.0) == pytest.approx(90.0)
+    energy.pop(HEATER_CURRENT)
+    assert behind_the_loop(problem, 90.0) == pytest.approx(90.0)

@@ -15,6 +15,7 @@ from vo2_models.diagnosis.breakdown import one_loop, turning_points
 from vo2_models.diagnosis.check import Unusable, check_recording
 from vo2_models.diagnosis.decide import _is_small
 from vo2_models.diagnosis.families import BY_DEPENDENCE, OF_ONE_LOOP
+from vo2_models.diagnosis.files import _farther_off
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.next_experiment import TO_SEE, library, without_explanation
 from vo2_models.diagnosis.noise import NoiseModel, fit_noise, level_from_differences, outliers
@@ -27,7 +28,7 @@ from vo2_models.diagnosis.report import beside_the_first, probabilities
 from vo2_models.diagnosis.result import SCHEMA, validate
 from vo2_models.effects.adc_quantization import value_step
 from vo2_models.hysteresis.play_bank import PlayBank
-from vo2_models.recording import Recording, regular, regular_instants
+from vo2_models.recording import TIP_DEFLECTION, Recording, regular, regular_instants
 
 ANSWER = {
     "schema": SCHEMA,
@@ -512,3 +513,21 @@ def test_nothing_is_linearised_about_a_dead_time_below_nothing() -> None:
     found = _possible(constants, np.array([-3.0, -3.0, -20.0]))
     assert found[1] == -3.0 and np.all(found[[0, 2]] < 0.0)
     assert 1e-3 + 5e-4 * found[0] + 1e-5 * found[2] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("courses", "told"),
+    [({}, "corrections of the loops that no law holds"), ({"ambient_drift": None}, "no more than its straight part")],
+)  # fmt: skip
+def test_why_a_corrected_model_leaves_more_than_the_answer(courses, told) -> None:
+    device = preset("integrated")
+    of_device = SimpleNamespace(model=SimpleNamespace(description=device))
+    study = SimpleNamespace(
+        located=SimpleNamespace(problem=SimpleNamespace(nominal=of_device)),
+        decision=SimpleNamespace(chosen=SimpleNamespace(courses=courses)),
+        limits=Limits(),
+    )
+    corrected = SimpleNamespace(nrmse={TIP_DEFLECTION: 0.04})
+    answer = SimpleNamespace(fit={TIP_DEFLECTION: SimpleNamespace(nrmse_after=0.004, noise_floor=0.001)})
+    (said,) = _farther_off(corrected, answer, study)
+    assert said.startswith("corrected_model.yaml by itself leaves 4 % of the range") and told in said

@@ -302,6 +302,9 @@ def test_a_creep_on_top_is_found_and_what_the_law_misses_does_not_speak_against_
     assert option.chosen.keys == ("creep",) and not option.chosen.at_bound
     strict, lenient = (replace(found.limits, own_misfit=times) for times in (0.0, 1e6))
     assert adequacy_of(option, lenient).left == 0.0 < adequacy_of(option, strict).left
+    # a share of what moved constants would explain as well is not forgiven
+    forgiving = replace(strict, equation=1.0)
+    assert adequacy_of(option, forgiving).left == 0.0 < adequacy_of(option, forgiving, most=0.0).left
     problem = found.located.problem
     hypothesis = next(one for one in found.search.candidates if one.key == "creep")
     stuck = fit_jointly(

@@ -91,14 +91,18 @@ def _standing(unnamed: StandIn | None) -> str:
 
 
 def _farther_off(corrected: CorrectedModel, diagnosis: Diagnosis, study: Study) -> list[str]:
-    """A sentence for what the file leaves where that is more than the diagnosis leaves with loops corrected beyond their law."""
-    told = []
+    """A sentence for what the file leaves where that is more than the diagnosis leaves, and what the file does not hold."""
+    told, chosen = [], study.decision.chosen
+    beside = "beside corrections of the loops that no law holds"
+    if chosen is not None and chosen.courses:
+        names = " and ".join(key.partition(":")[0] for key in chosen.courses)
+        beside = f"with the course of {names}, which is these recordings' own: the file has no more than its straight part"
     for channel, nrmse in corrected.nrmse.items():
         name = in_own_names(channel, study)
         fit = diagnosis.fit.get(name)
         if fit and nrmse > study.limits.by_itself * max(fit.nrmse_after, fit.noise_floor):
             told.append(
                 f"corrected_model.yaml by itself leaves {100 * nrmse:.2g} % of the range in {name}; the "
-                f"{100 * fit.nrmse_after:.2g} % of the answer are left beside corrections of the loops that no law holds"
+                f"{100 * fit.nrmse_after:.2g} % of the answer are left {beside}"
             )
     return told
