@@ -110,7 +110,9 @@ def test_a_bag_is_readable_after_sigterm_in_the_middle_of_a_run(graph, conductor
     # a second's worth: the loop starts before the recorder has found every topic
     conductor.wait_for("some samples in the bag", lambda: _size(bag) > 1_000_000, 60.0)
     recorder.process.send_signal(signal.SIGTERM)
-    assert recorder.process.wait(15.0) == 0, recorder.last_words()
+    status, words = recorder.process.wait(15.0), recorder.last_words()
+    # what was sent before a topic was found is lost, and told
+    assert status == 0 or (status == 1 and " later than /vo2/" in words), words
     recordings, problems = read_bag(bag)
     assert len(recordings["measurement"]) > 100
     assert not [problem for problem in problems if problem.kind in ("truncated", "damaged")]
