@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ from vo2_models.recording import (
 )
 from vo2_models.units import stamp_in_words
 
-__all__ = ["Finding", "Unusable", "check_recording"]
+__all__ = ["ClockFaults", "Finding", "Unusable", "check_recording", "clock_faults"]
 
 Floats = NDArray[np.float64]
 
@@ -151,19 +152,51 @@ def _mixed_up(recording: Recording, nominal: Nominal, limits: Limits) -> str:
     return ""
 
 
-def _clock(recording: Recording, nominal: Nominal, name: str, limits: Limits) -> list[Finding]:
-    steps = np.diff(recording.time_s)
-    dt = recording.sample_period_s
-    # a current is held from one instant of a clock to the next, whatever was read of it in between
-    clock = regular_instants(recording.time_s) if nominal.model.description.has_body else clock_of(recording)
+class ClockFaults(NamedTuple):
+    """What is wrong with the stamps of a recording of n samples.
+
+    Attributes
+    ----------
+    gaps : (n - 1,) whether samples are missing between two
+    share : of the time that gaps are
+    irregular : why the clock is none, in words; empty where it is one
+    """
+
+    gaps: NDArray[np.bool_]
+    share: float
+    irregular: str
+
+
+def clock_faults(recording: Recording, *, has_body: bool, limits: Limits) -> ClockFaults:
+    """Return the gaps of a recording and whether its clock is that of a regular acquisition.
+
+    Parameters
+    ----------
+    recording : with its stamps
+    has_body : whether its device has a body: a current is held from one instant of a clock to the next, whatever was read of
+        it in between
+    limits : of gaps and of an unsteady clock
+    """
+    steps, dt = np.diff(recording.time_s), recording.sample_period_s
+    clock = regular_instants(recording.time_s) if has_body else clock_of(recording)
     gaps = np.diff(clock[2]) > 1 if clock else steps > limits.gap * dt
-    jitter = jitter_of(recording.time_s)
+    share = float(np.sum(steps[gaps]) / (recording.time_s[-1] - recording.time_s[0]))
+    jitter, irregular = jitter_of(recording.time_s), ""
     if jitter > limits.unsteady and clock is None:
-        raise Unusable(
-            f"{name}: {100 * jitter:.0f} % of the sample periods differ from the median {dt:.4g} s by over a fifth: "
+        irregular = (
+            f"{100 * jitter:.0f} % of the sample periods differ from the median {dt:.4g} s by over a fifth: "
             "the clock is not that of a regular acquisition; check the stamps"
         )
-    duration = recording.time_s[-1] - recording.time_s[0]
+    return ClockFaults(np.asarray(gaps), share, irregular)
+
+
+def _clock(recording: Recording, nominal: Nominal, name: str, limits: Limits) -> list[Finding]:
+    dt = recording.sample_period_s
+    gaps, missing, irregular = clock_faults(
+        recording, has_body=nominal.model.description.has_body, limits=limits
+    )
+    if irregular:
+        raise Unusable(f"{name}: {irregular}")
     device = preset(nominal.device)
     shortest, longest = device.shortest_period / 2, 20 * device.time_constant
     if not device.has_body:  # nothing in it has a time of its own: only a wrong unit of the time is told
@@ -173,12 +206,11 @@ def _clock(recording: Recording, nominal: Nominal, name: str, limits: Limits) ->
             f"{name}: found a sample period of {dt:.4g} s, need {shortest:.4g} to {longest:.4g} s for this device; "
             "check the stamps"
         )
-    missing = float(np.sum(steps[gaps]) / duration) if np.any(gaps) else 0.0
     if missing > limits.gaps:
         raise Unusable(
             f"{name}: gaps make up {100 * missing:.0f} % of the recording, need less than {100 * limits.gaps:.0f} %"
         )
-    found = []
+    found, jitter = [], jitter_of(recording.time_s)
     if jitter > JITTERED:
         found.append(
             Finding(

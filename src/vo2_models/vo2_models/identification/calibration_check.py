@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.device.description import PRESETS, DeviceDescription, preset
+from vo2_models.diagnosis.check import clock_faults
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nominal import judged
 from vo2_models.diagnosis.nuisance import coverage_of
@@ -19,9 +20,6 @@ from vo2_models.recording import (
     HEATER_CURRENT,
     RESISTANCE,
     Recording,
-    clock_of,
-    jitter_of,
-    regular_instants,
 )
 from vo2_models.self_sensing.scheme import self_sensing
 from vo2_models.units import shown_unit
@@ -141,21 +139,14 @@ def _name(names: Sequence[str], k: int) -> str:
 def _gaps(recording: Recording, device: DeviceDescription, name: str, limit: float | None) -> list[str]:
     """Say that a gap hides what the drive did; refuse a recording that is gaps to more than a share, as a diagnosis does."""
     limits = Limits()
-    steps = np.diff(recording.time_s)
-    clock = regular_instants(recording.time_s) if device.has_body else clock_of(recording)
-    gaps = np.diff(clock[2]) > 1 if clock else steps > limits.gap * recording.sample_period_s
-    share = float(steps[gaps].sum() / (recording.time_s[-1] - recording.time_s[0]))
+    gaps, share, irregular = clock_faults(recording, has_body=device.has_body, limits=limits)
     most = limits.gaps if limit is None else limit
     if share > most:
         raise ValueError(
             f"{name}: gaps make up {100 * share:.0f} % of the recording, need at most {100 * most:.0f} % (fit: --gap-limit)"
         )
-    jitter = jitter_of(recording.time_s)
-    if limit is None and clock is None and jitter > limits.unsteady:
-        raise ValueError(
-            f"{name}: {100 * jitter:.0f} % of the sample periods differ from the median {recording.sample_period_s:.4g} s by "
-            "over a fifth: the clock is not that of a regular acquisition; check the stamps (fit: --gap-limit takes it)"
-        )
+    if limit is None and irregular:
+        raise ValueError(f"{name}: {irregular} (fit: --gap-limit takes it)")
     if not gaps.any():
         return []
     return [
