@@ -13,7 +13,6 @@ from vo2_interface.emergency_stop import EmergencyStop
 from vo2_interface.inputs import SampleInput
 from vo2_interface.live.node import LiveNode
 from vo2_interface.samples import MalformedSampleError, SampleReader, SampleWriter, message_stamp_ns
-from vo2_interface.supervise import SuperviseNode
 from vo2_interface.testing import bench
 
 MS = 1_000_000
@@ -97,9 +96,8 @@ class Obeys(Node):
     [
         (Obeys, "/vo2/emergency_stop", []),
         (LiveNode, "/vo2/emergency_stop", ["-p", "port:=0"]),
-        (SuperviseNode, "/diagnostics", ["-p", "run:=['vo2_interface live']"]),
     ],
-    ids=["emergency stop", "live", "supervise"],
+    ids=["emergency stop", "live"],
 )
 def test_every_input_can_be_overridden(make, topic, arguments):
     setting = f"qos_overrides.{topic}.subscription.reliability:=best_effort"
