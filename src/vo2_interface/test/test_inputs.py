@@ -11,8 +11,11 @@ from sensor_msgs.msg import JointState
 from vo2_interface.diagnostics import Diagnostics
 from vo2_interface.emergency_stop import EmergencyStop
 from vo2_interface.inputs import SampleInput
+from vo2_interface.live.node import LiveNode
 from vo2_interface.samples import MalformedSampleError, SampleReader, SampleWriter, message_stamp_ns
+from vo2_interface.supervise import SuperviseNode
 from vo2_interface.testing import bench
+from vo2_interface.topics import EMERGENCY_STOP_QOS, READ_QOS
 
 MS = 1_000_000
 WRITER = SampleWriter(("heater_current", "film_resistance"), "integrated")
@@ -90,13 +93,22 @@ class Obeys(Node):
         EmergencyStop(self, Diagnostics(self))
 
 
-def test_the_emergency_stop_can_be_overridden():
-    topic = "/vo2/emergency_stop"
+@pytest.mark.parametrize(
+    ("make", "topic", "arguments", "usual"),
+    [
+        (Obeys, "/vo2/emergency_stop", [], EMERGENCY_STOP_QOS),
+        (LiveNode, "/vo2/emergency_stop", ["-p", "port:=0"], EMERGENCY_STOP_QOS),
+        (SuperviseNode, "/diagnostics", ["-p", "run:=['vo2_interface live']"], READ_QOS),
+    ],
+    ids=["emergency stop", "live", "supervise"],
+)
+def test_every_input_can_be_overridden_and_no_other_is(make, topic, arguments, usual):
     setting = f"qos_overrides.{topic}.subscription.reliability:=best_effort"
-    with bench(["--ros-args", "-p", setting]) as rig:
-        node = rig.add(Obeys)
+    with bench(["--ros-args", "-p", setting, *arguments]) as rig:
+        node = rig.add(make)
         first, *_ = [each for each in node.subscriptions if each.topic_name == topic]
         assert first.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+        assert usual.reliability == ReliabilityPolicy.RELIABLE
 
 
 def test_what_cannot_be_read_is_dropped_and_told_once_per_cause():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from copy import copy
 from typing import Literal
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -57,7 +58,7 @@ class EmergencyStop:
             Bool,
             EMERGENCY_STOP,
             self._on_word,
-            EMERGENCY_STOP_QOS,
+            copy(EMERGENCY_STOP_QOS),  # an override is written into it
             event_callbacks=quiet,
             qos_overriding_options=OVERRIDABLE_INPUT,
         )

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -99,7 +100,11 @@ class SuperviseNode(Node):
                 f"run: found {', '.join(twice)} twice under one name, need -r __node:=NAME for one of them"
             )
         self.create_subscription(
-            DiagnosticArray, DIAGNOSTICS, self._on_beat, READ_QOS, qos_overriding_options=OVERRIDABLE_INPUT
+            DiagnosticArray,
+            DIAGNOSTICS,
+            self._on_beat,
+            copy(READ_QOS),  # an override is written into it
+            qos_overriding_options=OVERRIDABLE_INPUT,
         )
         create_steady_timer(self, _LOOK_S, self._look)
         create_steady_timer(self, _BEAT_S, self._diagnostics.beat)  # for who comes late

@@ -75,4 +75,6 @@ EMERGENCY_STOP_QOS = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 OVERRIDABLE_INPUT = QoSOverridingOptions(
     (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
 )
-"""Declares the parameters `qos_overrides./TOPIC.subscription.reliability`, `.depth`, `.history` and `.durability` of an input."""
+"""Declares the parameters `qos_overrides./TOPIC.subscription.reliability`, `.depth`, `.history` and `.durability` of an input.
+
+rclpy writes them into the profile that it is given: give it a copy, or they hold for every node and publisher of the process."""

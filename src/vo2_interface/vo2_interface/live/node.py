@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from copy import copy
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -102,7 +103,7 @@ class LiveNode(Node):
             Bool,
             EMERGENCY_STOP,
             self._on_stop,
-            EMERGENCY_STOP_QOS,
+            copy(EMERGENCY_STOP_QOS),  # an override is written into it
             qos_overriding_options=OVERRIDABLE_INPUT,
         )
         self._commander = self.create_client(ChangeState, f"{table.text('commander')}/change_state")
