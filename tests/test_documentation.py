@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from vo2_models.device.description import PRESETS
 from vo2_models.effects import effects
 from vo2_models.hysteresis.laws import LAWS
 
@@ -70,6 +71,18 @@ def test_the_catalogues_of_the_site_hold_every_effect_and_every_law():
     assert all(f"## {name}\n" in pages["laws_page"]() for name in LAWS)
     modules = {module for folder in pages["folders"]().values() for module in folder}
     assert {law.__module__ for law in LAWS.values()} <= modules
+
+
+def test_every_shipped_device_is_told_of():
+    texts = {"device.md": (ROOT / "docs" / "theory" / "device.md").read_text(encoding="utf-8")}
+    for path in (ROOT / "src").glob("*/*/**/*.py"):
+        for told in re.findall(
+            r'"Device: integrated.*or the path of a device file', path.read_text(encoding="utf-8")
+        ):
+            texts[path.name] = told
+    assert len(texts) > 5
+    for name, text in texts.items():
+        assert [device for device in PRESETS if not re.search(rf"\b{device}\b", text)] == [], name
 
 
 def test_each_promise_names_a_test_that_is_there():

@@ -41,7 +41,12 @@ from rig_template.link import Link, LinkError, open_link
 __all__ = ["RIG_PARAMETERS", "RigNode", "main"]
 
 RIG_PARAMETERS = (
-    Parameter("preset", "integrated", "", "Device: integrated, peltier, or the path of a device file."),
+    Parameter(
+        "preset",
+        "integrated",
+        "",
+        "Device: integrated, peltier, peltier_chapter8, or the path of a device file.",
+    ),
     Parameter(
         "connection", "tcp://127.0.0.1:5025", "", "tcp://HOST:PORT, or serial:///dev/ttyUSB0?baud=115200."
     ),

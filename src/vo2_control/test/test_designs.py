@@ -40,6 +40,18 @@ def test_a_device_without_published_gains_needs_gains_or_a_model():
     assert design_controller("pi", values={"pid.kp": -1.4, "pid.ki": -0.01}, **where)
 
 
+def test_the_gains_of_chapter_8_are_published_for_its_device():
+    where = {"preset": "peltier_chapter8", "sample_period_s": 0.125}
+    # as pid_chapter_8.yaml has them
+    printed = {
+        "pid.kp": -59e3, "pid.ki": -4e3, "pid.kd": -13.6e3, "pid.derivative_filter_s": 0.125,
+        "pid.reference_derivative_weight": 1.0,
+    }  # fmt: skip
+    own, given = (design_controller("pid", values=values, **where) for values in ({}, printed))
+    steps = [(30e-6, 31e-6), (30e-6, 30.5e-6), (40e-6, 30e-6)]
+    assert [own.update(*step) for step in steps] == [given.update(*step) for step in steps]
+
+
 def test_a_designer_that_has_died_is_told_however_often_it_is_asked():
     designer = Designer()
     designer._process.kill()

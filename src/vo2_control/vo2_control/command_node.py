@@ -49,7 +49,7 @@ COMMAND_NODE_PARAMETERS = (
         "preset",
         "integrated",
         "",
-        "Device: integrated, peltier, or the path of a device file.",
+        "Device: integrated, peltier, peltier_chapter8, or the path of a device file.",
     ),
     AUTOSTART,
     Parameter(

@@ -73,7 +73,11 @@ _PUBLISHED = {
         "integrated": PidGains(kp=1.4, ki=2.03e4),
         "peltier": replace(PUBLISHED_PELTIER_PID, kd=0.0),
     },
-    "pid": {"integrated": PidGains(kp=1.4, ki=2.03e4), "peltier": PUBLISHED_PELTIER_PID},
+    "pid": {
+        "integrated": PidGains(kp=1.4, ki=2.03e4),
+        "peltier": PUBLISHED_PELTIER_PID,
+        "peltier_chapter8": PUBLISHED_PELTIER_PID,
+    },
 }
 _REACH_LEVELS = 400
 _GAINS = ("pid.kp", "pid.ki", "pid.kd")

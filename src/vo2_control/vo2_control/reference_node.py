@@ -37,7 +37,7 @@ REFERENCE_PARAMETERS = (
         "preset",
         "integrated",
         "",
-        "Device: integrated, peltier, or the path of a device file, whose signals are given below.",
+        "Device: integrated, peltier, peltier_chapter8, or the path of a device file, whose signals are given below.",
     ),
     Parameter(
         "signal",

@@ -34,7 +34,12 @@ from vo2_estimation.schemes import SCHEMES, Scheme, make_scheme
 __all__ = ["ESTIMATOR_PARAMETERS", "EstimatorNode", "main"]
 
 ESTIMATOR_PARAMETERS = (
-    Parameter("preset", "integrated", "", "Device: integrated, peltier, or the path of a device file."),
+    Parameter(
+        "preset",
+        "integrated",
+        "",
+        "Device: integrated, peltier, peltier_chapter8, or the path of a device file.",
+    ),
     Parameter(
         "kind",
         "composite",

@@ -52,10 +52,16 @@ def test_a_good_recording_passes_unchanged_and_without_a_word(recording):
 @pytest.mark.parametrize(
     ("channel", "change", "said"),
     [
-        (HEATER_CURRENT, lambda x: 1e3 * x, r"heater_current runs from 0 to 8\.4 A.*is it in mA\?"),
+        (
+            HEATER_CURRENT,
+            lambda x: 1e3 * x,
+            r"heater_current runs from 0 to 8\.4 A.*off by a factor of 1 000, ",
+        ),
         (HEATER_CURRENT, lambda x: -x, r"heater_current runs from -0\.0084.*is its sign reversed\?"),
         (HEATER_CURRENT, lambda x: 2 * x, r"allows 0 to 0\.01278 A: check the unit$"),
-        (TIP_DEFLECTION, lambda x: 1e6 * x, r"is it in um\?"),
+        (TIP_DEFLECTION, lambda x: 1e6 * x, "off by a factor of 1 000 000, in the values or in the map"),
+        (TIP_DEFLECTION, lambda x: 1e3 * x, "off by a factor of 1 000, in the values or in the map"),
+        (HEATER_CURRENT, lambda x: 1e-3 * x, r"varies by 8\.4e-06 A .*off by a factor of 1 000, "),
         (RESISTANCE, lambda x: -x, r"film_resistance is not above zero"),
     ],
 )
@@ -63,6 +69,39 @@ def test_what_the_device_cannot_have_is_refused(recording, channel, change, said
     wrong = with_channel(recording, **{channel: change(recording[channel])})
     with pytest.raises(ValueError, match=rf"^sweep: .*{said}"):
         check_calibration([wrong], "integrated", names=["sweep"])
+
+
+PIEZO = {
+    "schema": "vo2-device/1",
+    "id": "piezo",
+    "drive": {"channel": "volts", "unit": "V", "limits": [0.0, 3.6]},
+    "responses": {"stroke": {"unit": "m"}},
+}
+
+
+@pytest.mark.parametrize(
+    ("drive", "stroke", "said"),
+    [
+        (lambda v, s: s, lambda v, s: 1e-6 * v, "the column: are those of volts and stroke swapped?"),
+        (lambda v, s: s, lambda v, s: 1e-6 * s, "stroke is a copy of volts, times 1e-06"),
+        (lambda v, s: -v, lambda v, s: 1e-6 * s, "the unit (is its sign reversed?)"),
+        (
+            lambda v, s: 1e3 * v,
+            lambda v, s: 1e-6 * s,
+            "the unit (off by a factor of 1 000, in the values or in the map?)",
+        ),
+        (lambda v, s: 2 * v, lambda v, s: 1e-6 * v**2, "check the unit"),
+    ],
+)
+@pytest.mark.parametrize("extent", [None, [-1.3e-4, -7e-5]])
+def test_a_wrong_column_is_told_from_a_wrong_unit(drive, stroke, said, extent):
+    phase = np.linspace(0.0, 4 * np.pi, COUNT)
+    volts, micrometres = 1.8 - 1.8 * np.cos(phase), -98.0 - 25.0 * np.cos(phase - 0.3)
+    response = {"unit": "m"} | ({"range": extent} if extent else {})
+    device = described({**PIEZO, "responses": {"stroke": response}}, "test")
+    channels = {HEATER_CURRENT: drive(volts, micrometres), TIP_DEFLECTION: stroke(volts, micrometres)}
+    (told,) = impossible(Recording(1e-3 * np.arange(COUNT), channels), device.key)
+    assert told.endswith(said) or ("copy" in said and told.startswith(said))
 
 
 def test_kelvin_in_place_of_degrees_is_refused(recording):
@@ -149,6 +188,7 @@ def test_gaps_and_a_missing_branch_are_said(recording):
     falling = with_channel(up, **{HEATER_CURRENT: np.linspace(8e-3, 0, len(up))})
     assert check_calibration([rising, falling], "integrated")[1] == []
     # the peltier device heats with a negative current
+    rising = with_channel(up, **{HEATER_CURRENT: np.linspace(0, 0.5, len(up))})
     assert "the heating branch is a guess" in check_calibration([rising], "peltier")[1][-1]
 
 

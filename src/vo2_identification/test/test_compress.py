@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from vo2_identification.compress import main
+from vo2_models.device.description import described
 from vo2_models.device.model import DeviceModel
 from vo2_models.hysteresis import PlayBank, PreisachOperator
 from vo2_models.hysteresis.compress_model import compress_plays_of
@@ -187,6 +188,62 @@ def test_bounds_of_a_compressed_model_hold_as_often(tmp_path):
         assert np.mean(error > old) > 0.2
         after = load_model_parameters(small)["model.self_sensing.bounds.composite"]
         assert np.all(np.asarray(after) >= np.asarray(before))
+
+
+def test_plays_are_compressed_and_compared_on_the_operating_range(tmp_path, capsys):
+    """As in table 6.3: envelopes that saturate at 3000, on a device that is driven from -10 to 10."""
+    device = {
+        "schema": "vo2-device/1", "id": "narrow",
+        "drive": {"channel": "input", "unit": "1", "limits": [-10.0, 10.0]},
+        "body": {"kind": "first_order", "ambient": 0.0, "linear_gain": 1.0, "time_constant": 0.001},
+        "responses": {"output": {"unit": "1"}},
+    }  # fmt: skip
+    slopes, none = np.full(6, 1e-3), np.zeros(6)
+    radii = 1e-3 * np.array([0.0, 0.2, 0.4, 0.6, 0.8, 2.0])
+    bank = PlayBank(1e3 * np.array([6, 2, 1, 2, 4, 4]), radii, slopes, none, slopes, none)
+    DeviceModel(described(device, "narrow").key, deflection=bank).save(tmp_path / "model.yaml")
+    arguments = [
+        "--model",
+        str(tmp_path / "model.yaml"),
+        "--output",
+        str(tmp_path / "s.yaml"),
+        "--plays",
+        "3",
+    ]
+    assert main(arguments) == 0
+    told = re.search(
+        r"at most ([\d.e-]+) % of its range on a damped oscillation over the device's operating range, input -10 to 10$",
+        capsys.readouterr().out.strip(),
+    )
+    small = DeviceModel.load(tmp_path / "s.yaml").deflection
+    for amplitude in (10.0, 5.0, 2.0, 1.0):
+        path = amplitude * np.sin(np.linspace(0.0, 60.0, 6000)) * np.exp(-np.linspace(0.0, 1.5, 6000))
+        change = 100.0 * np.max(np.abs(small.run(path) - bank.run(path))) / np.ptp(bank.run([-10.0, 10.0]))
+        assert 0.5 * float(told[1]) < change < 1.1 * float(told[1])
+
+
+def test_a_grid_of_too_many_choices_stays_and_the_others_are_compressed(tmp_path, capsys):
+    fine, coarse = (
+        PreisachOperator(np.linspace(40.0, 80.0, level + 1), np.full(level * (level + 1) // 2, 0.01))
+        for level in (40, 14)
+    )
+    both = fine.to_parameters("model.resistance") | coarse.to_parameters("model.deflection")
+    save_model_parameters(tmp_path / "both.yaml", both)
+    levels = ["--output", str(tmp_path / "s.yaml"), "--levels", "12", "--model"]
+    assert main([*levels, str(tmp_path / "both.yaml")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("model.deflection: 14 levels to 12, output changed by at most")
+    assert lines[1].startswith(
+        "model.resistance: stays at 40 levels: found 1.7e+09 choices of 12 from 40 levels"
+    )
+    assert lines[1].endswith("1 to 11 or 30 to 39 levels")
+    small = load_model_parameters(tmp_path / "s.yaml")
+    assert small["model.resistance.walls"] == both["model.resistance.walls"]
+    save_model_parameters(tmp_path / "one.yaml", fine.to_parameters("model.resistance"))
+    assert main([*levels, str(tmp_path / "one.yaml")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("compress: model.resistance: found 1.7e+09 choices") and error.count("\n") == 1
+    assert "1 to 11 or 30 to 39 levels" in error
 
 
 def test_no_more_plays_than_come_nearer():

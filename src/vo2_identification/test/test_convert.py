@@ -214,9 +214,20 @@ def test_spellings_of_micro(tmp_path, unit):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (("unit: mA", "unit: A"), r"heater_current runs from 1 to 8 A.*\(is it in mA\?\)"),
+        (
+            ("unit: mA", "unit: A"),
+            r"heater_current runs from 1 to 8 A.*\(off by a factor of 1 000, in the values or in the map\?\)",
+        ),
         (("unit: kohm", "unit: ohm"), r"film_resistance runs from 12 to 200 ohm.*\(is it in kohm\?\)"),
-        (("unit: um", "unit: m"), r"tip_deflection runs from 1 to 50 m.*\(is it in um\?\)"),
+        (("column: 2, unit: kohm", "column: 1, unit: kohm"), "film_resistance is a copy of heater_current"),
+        (
+            ("unit: mA", "unit: uA"),
+            r"heater_current varies by 7e-06 A .*check its unit \(off by a factor of 1 000, ",
+        ),
+        (
+            ("unit: um", "unit: m"),
+            r"tip_deflection runs from 1 to 50 m.*\(off by a factor of 1 000 000, in the values or in the map\?\)",
+        ),
         (("unit: degC", "unit: degF"), None),
         (("", ""), None),
     ],
@@ -231,11 +242,19 @@ channels:
   tip_deflection: {column: 3, unit: um}
   ambient_temperature: {column: 4, unit: degC}
 """
-    table, path = prepared(tmp_path, text=text.replace(*change), table="1,200,1,20\n8,12,50,20\n")
+    table, path = prepared(tmp_path, text=text.replace(*change), table="1,200,1,20\n4,90,25,20\n8,12,50,20\n")
     command = ["--map", str(path), "--input", str(table), "--output", str(tmp_path / "bag")]
     assert convert.main(command) == 0
     error = capsys.readouterr().err
     assert re.search(said, error) if said else error == ""
+
+
+def test_stamps_that_occur_more_than_once_are_told_as_such(tmp_path):
+    rows = "".join(f"{k // 2},{k},30,302\n" for k in range(40))
+    with pytest.raises(
+        MapError, match=r"20 of 40 rows have the time of the row before with other .*row 3 \(0 s\); need"
+    ):
+        converted(tmp_path, table=f"t,I,R,T\n{rows}")
 
 
 def test_a_bad_file_of_a_folder_does_not_cost_the_others(tmp_path, capsys):

@@ -168,6 +168,46 @@ def test_what_cannot_be_predicted(folder, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_recording_of_another_device_is_asked_after(folder, tmp_path, capsys):
+    write_bag(
+        tmp_path / "bag",
+        Recording(_rig().time_s, {"film_resistance": 1e3 + _rig()["drive_voltage"]}, "other"),
+    )
+    command = [
+        "--model",
+        str(folder / "model.yaml"),
+        "--bag",
+        str(tmp_path / "bag"),
+        "--output",
+        str(tmp_path / "out"),
+    ]
+    assert predict.main(command) == 2
+    said = "need drive_voltage, the drive of device stack_07: is it a recording of another device (it says other)?"
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("drive", "response", "said"),
+    [
+        (1.0, -1.0, "extension runs against the simulation: is its sign reversed"),
+        (1.0, 1e3, "check the unit (off by a factor of 1 000, "),
+        (
+            1e-3,
+            1.0,
+            "drive_voltage varies by 0.0585 V of an operating range of 58.5: check its unit (off by a factor of 1 000",
+        ),
+        (1.0, 1.0, ""),
+    ],
+)
+def test_a_sign_and_a_unit_are_doubted_where_the_model_misses(folder, drive, response, said):
+    model = DeviceModel.load(folder / "model.yaml")
+    rig = _rig()
+    channels = {"drive_voltage": drive * rig["drive_voltage"], "extension": response * rig["extension"]}
+    found = predicted(model, model.description.in_roles(Recording(rig.time_s, channels)))
+    told = predict.summary(found, model.description)[0]
+    assert said in told and told.startswith("the recording does not fit the model: ") == bool(said)
+
+
 @pytest.mark.parametrize("late", [-1, 0, 1])
 def test_a_drive_that_is_stamped_at_the_other_end_of_its_interval_is_taken_so_and_told(late):
     model = DeviceModel("integrated", deflection=PlayBank([2e-5], [0.0], [0.2], [-12.4], [0.2], [-11.0]))

@@ -12,7 +12,9 @@ from concealed_devices import DEVICE, SEED, calibrated, concealed, measured
 from threadpoolctl import threadpool_info, threadpool_limits
 from vo2_identification.bags import write_bag
 from vo2_identification.diagnose import main
+from vo2_identification.diagnose.play import playable_levels
 from vo2_models.device import DeviceModel, preset, truth
+from vo2_models.diagnosis import corrected_model as written_down
 from vo2_models.diagnosis import diagnose, study, validate
 from vo2_models.diagnosis.corrected_model import corrected_model
 from vo2_models.diagnosis.decide import _worsens
@@ -21,12 +23,15 @@ from vo2_models.diagnosis.files import write_results
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import locate
 from vo2_models.diagnosis.nominal import Nominal
+from vo2_models.diagnosis.nonparametric_correction import NonparametricCorrection, Shape
+from vo2_models.diagnosis.page import report_page
 from vo2_models.diagnosis.pairs import Option
 from vo2_models.diagnosis.part import prepare
 from vo2_models.diagnosis.problem import linearise_problem
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.read import read
 from vo2_models.diagnosis.report import assemble_diagnosis
+from vo2_models.diagnosis.result import MovedConstant
 from vo2_models.diagnosis.search import _without_constants
 from vo2_models.model_file import load_model_parameters, save_model_parameters
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
@@ -41,6 +46,21 @@ def test_an_unchanged_device_agrees(parameters) -> None:
     answer = diagnose([concealed(colour=0.6)], parameters)
     assert answer.verdict == "agrees"
     assert answer.effects == [] and answer.location == []
+    validate(answer.to_dict())
+
+
+def test_agreement_is_told_of_what_was_covered_and_the_rest_is_asked_for(parameters) -> None:
+    cold, hot = preset(DEVICE).operating_range
+    narrow = cold + (hot - cold) * (0.1 + 0.05 * np.sin(np.linspace(0.0, 60.0, 1500)))
+    answer = diagnose([measured(truth(DEVICE, seed=SEED).simulate(narrow, seed=5))], parameters)
+    assert answer.verdict == "agrees"
+    first = answer.summary.partition(": ")[0]
+    assert "10 % of the operating range" in first
+    assert "one and the same loop" in first
+    asked = answer.next_experiment
+    assert asked is not None and asked.kind == "excitation"
+    levels = playable_levels(asked.excitation, DEVICE)
+    assert np.ptp(levels) > 0.9 * abs(hot - cold)
     validate(answer.to_dict())
 
 
@@ -139,6 +159,47 @@ def test_the_corrected_model_loads_and_follows_the_recording_better(creeping, tm
         for m in (nominal, corrected)
     ]
     assert miss[1] < 0.6 * miss[0]
+
+
+def test_constants_that_no_device_has_are_told_and_not_written(creeping, tmp_path, monkeypatch) -> None:
+    def moves(study, rest, told):
+        return np.array([-1e9 * (c.name == "thermal.time_constant") + 1e9 * ("gain" in c.name) for c in told])
+
+    monkeypatch.setattr(written_down, "_told", lambda study: study.decision.final.constants)
+    monkeypatch.setattr(written_down, "_moves", moves)
+    monkeypatch.setattr(written_down, "drift_of", lambda final, rest: drift_of(final, 1e9 * rest))
+    answer = write_results(creeping, tmp_path)
+    assert answer.verdict == "differs"
+    (told,) = (text for text in answer.limits if "of no possible device" in text)
+    assert "keeps the constants of the calibration" in told
+    before, after = (
+        creeping.located.nominal.model,
+        DeviceModel.from_parameters(load_model_parameters(tmp_path / "corrected_model.yaml")),
+    )
+    assert dict(after.scalars) == pytest.approx(dict(before.scalars)) and "creep" in after.effects
+
+
+@pytest.mark.parametrize(("share", "described"), [(0.1, False), (0.6, True)])
+def test_what_describes_little_of_the_excess_describes_nothing(creeping, share, described) -> None:
+    shape = Shape(TIP_DEFLECTION, "rate", "the rate of the temperature", share, 1.0)
+    outside = NonparametricCorrection((shape,), share, np.zeros(creeping.located.problem.weight.size))
+    decision = replace(creeping.decision, chosen=None, unnamed=outside, rival_pairs=(), proposal=None)
+    answer = assemble_diagnosis(replace(creeping, decision=decision))
+    (effect,) = answer.effects
+    assert effect.id == "unknown"
+    assert ("the rate" in effect.statement, "the rate" in effect.form) == (described, described)
+    assert ("predicts 25 %" in answer.summary) is not described
+    if not described:
+        assert answer.next_experiment is not None and "the rate" not in answer.next_experiment.why
+
+
+def test_a_named_effect_says_what_it_does_and_the_page_what_is_not_excited(creeping) -> None:
+    answer = assemble_diagnosis(creeping)
+    (effect,) = answer.effects
+    assert effect.statement.startswith(effect.form) and "give way slowly" in effect.form
+    moved = [MovedConstant("thermal.ambient", 22.0, 23.0, 0.1, "degC")]
+    drifted = replace(answer, verdict="drifted", effects=[], moved=moved, not_excited=["latent_heat"])
+    assert "neither present nor absent: latent_heat" in report_page(creeping, drifted)
 
 
 def test_a_channel_that_an_effect_does_not_reach_says_nothing_against_it(creeping) -> None:
@@ -291,6 +352,9 @@ def test_on_one_loop_what_is_found_has_rivals_and_an_experiment(late_on_one_loop
     assert {"clock_offset", "sensor_lag"} <= rivals
     assert answer.next_experiment is not None and answer.next_experiment.kind == "excitation"
     assert max(c.probability for c in answer.candidates) < 0.9
+    # misfit is in chi-square too: its root tells no odds
+    assert "standard deviations in what was recorded" not in answer.next_experiment.why
+    assert not any("standard deviations" in c.why_not for c in answer.candidates)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from vo2_models.diagnosis import diagnose, study
 from vo2_models.diagnosis.adequacy import ends_flat
 from vo2_models.diagnosis.files import write_results
 from vo2_models.diagnosis.nominal import Nominal
-from vo2_models.diagnosis.report import assemble_diagnosis
+from vo2_models.diagnosis.report import assemble_diagnosis, excess_by_channel
 from vo2_models.effects import effect
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
@@ -53,7 +53,7 @@ def test_a_converter_that_clips_is_read_off_its_values(parameters, tmp_path) -> 
     assert answer.verdict == "differs"
     assert named(answer) == [("adc_saturation", TIP_DEFLECTION)]
     assert answer.effects[0].parameters["high"].value == high
-    assert "high" in answer.summary and "Beside it: Simulation and recording agree" in answer.summary
+    assert "high" in answer.summary and "With that simulation and recording agree" in answer.summary
     (place,) = answer.location
     assert place.signal == TIP_DEFLECTION and place.share == pytest.approx(1.0)
     inside = [any(a <= t < b for a, b in place.time_s) for t in clipped.time_s]
@@ -68,6 +68,19 @@ def test_a_converter_that_clips_is_read_off_its_values(parameters, tmp_path) -> 
     ]
     assert error[1] < 0.1 * error[0]
     assert not any("scatter" in text for text in answer.limits)
+
+
+def test_what_the_steps_of_a_converter_do_is_in_the_figures_of_the_fit(parameters) -> None:
+    seen = study([with_tip(concealed(), coarse)], parameters)
+    answer = assemble_diagnosis(seen)
+    assert named(answer) == [("adc_quantization", TIP_DEFLECTION)]
+    assert answer.summary.count("With that simulation and recording agree") == 1
+    fit, span = answer.fit[TIP_DEFLECTION], seen.located.nominal.span[TIP_DEFLECTION]
+    assert fit.nrmse_after < seen.decision.judged.after[TIP_DEFLECTION] / span
+    assert f"with it {100 * fit.nrmse_after:.3g} %" in answer.summary
+    # noise of a few hundredths of a step moves as many of the values by a whole step
+    assert 3.0 * seen.decision.judged.floor[TIP_DEFLECTION] / span < fit.noise_floor < 1.05 * fit.nrmse_after
+    assert [b.channel for b in excess_by_channel(seen)] == [place.signal for place in answer.location]
 
 
 @pytest.mark.slow

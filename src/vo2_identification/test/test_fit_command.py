@@ -84,6 +84,50 @@ def test_bad_input(bag, tmp_path, capsys):
     assert not (tmp_path / "model.yaml").exists()
 
 
+def test_another_law_has_its_own_plays_and_leaves_self_sensing_alone(bag, tmp_path, capsys):
+    output = tmp_path / "model.yaml"
+    arguments = ["--bag", str(bag), "--device", "integrated", "--output", str(output), "--quiet"]
+    assert main([*arguments, "--law", "gpi", "--plays", "4"]) == 0
+    (said,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("self-sensing: law")]
+    assert "law gpi is that of the simulation" in said and "does not depend on --law" in said
+    assert said.endswith("(composite: 24 plays)")
+    parameters = load_model_parameters(output)
+    for section, count in (("resistance", 4), ("deflection", 4), ("self_sensing.composite.deflection", 24)):
+        assert np.size(parameters[f"model.{section}.weights"]) == count
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert "estimate of the estimator does not depend on LAW" in " ".join(capsys.readouterr().out.split())
+
+
+_BODYLESS = """
+schema: vo2-device/1
+id: stack
+drive: {channel: drive_voltage, unit: V, limits: [0.0, 60.0]}
+responses: {extension: {unit: m}}
+"""
+
+
+def test_plays_are_refused_where_there_is_no_number_of_them(bag, tmp_path, capsys):
+    (tmp_path / "stack.yaml").write_text(_BODYLESS)
+    plays = ["--bag", str(bag), "--output", str(tmp_path / "model.yaml"), "--plays", "6", "--device"]
+    for given, words in (
+        (
+            ["integrated", "--law", "preisach"],
+            "law preisach on device integrated, need one of --law gpi, egpi, plays, auto",
+        ),
+        (
+            [str(tmp_path / "stack.yaml")],
+            "the law that held-out parts choose on device stack, need one of --law gpi, egpi;",
+        ),
+    ):
+        assert f"--plays: found 6 with {words}" in _refused(capsys, *plays, *given)
+    folder = ["--bags", str(tmp_path), "--output", str(tmp_path / "out"), "--device"]
+    assert "--plays: found 6" in _refused(capsys, *folder, str(tmp_path / "stack.yaml"), "--plays", "6")
+    with pytest.raises(SystemExit):
+        main([*folder, "integrated", "--law", "gpi"])
+    assert "--law is of --bag" in capsys.readouterr().err
+
+
 def test_unwritable_output(bag, capsys, tmp_path):
     (tmp_path / "file").write_text("not a folder")
     output = str(tmp_path / "file" / "model.yaml")
@@ -110,7 +154,7 @@ def test_a_wrong_unit_makes_no_model(bag, capsys, tmp_path):
     output = str(tmp_path / "model.yaml")
     device = ["--device", "integrated", "--output", output]
     message = _refused(capsys, "--bag", str(tmp_path / "milli"), *device)
-    assert "milli: heater_current runs from" in message and "is it in mA?" in message
+    assert "milli: heater_current runs from" in message and "off by a factor of 1 000, " in message
     assert not (tmp_path / "model.yaml").exists()
 
 

@@ -79,7 +79,7 @@ def _convert(options: argparse.Namespace) -> int:
 
 
 def _convert_file(file: Path, column_map: ColumnMap, options: argparse.Namespace, *, several: bool) -> None:
-    from vo2_models.identification.plausibility import impossible, unusual
+    from vo2_models.identification.plausibility import doubts
 
     from vo2_identification.bags import write_bag
     from vo2_identification.bags.problems import in_few_lines
@@ -96,7 +96,7 @@ def _convert_file(file: Path, column_map: ColumnMap, options: argparse.Namespace
             print(f"convert: {problem}", file=sys.stderr)
         if (device := column_map.described) is not None:
             inside = device.in_roles(recording)
-            for doubt in [*impossible(inside, device.key), *unusual(inside, device.key)]:
+            for doubt in doubts(inside, device.key):
                 print(f"convert: {file}: {doubt}", file=sys.stderr)
         print(_line(recording, path, converted.units), flush=True)
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from vo2_models.recording import (
     COMMANDED_CURRENT,
     HEATER_CURRENT,
@@ -48,6 +49,8 @@ def main(args: Sequence[str] | None = None) -> int:
         parser.error("need --bag BAG, which may be repeated, or --bags FOLDER")
     if options.bags and options.gap_limit is not None:
         parser.error("--gap-limit is of --bag")
+    if options.bags and options.law:
+        parser.error("--law is of --bag")
     try:
         return _run_folder(options) if options.bags else _run(options)
     except KeyboardInterrupt:
@@ -60,6 +63,7 @@ def _run(options: argparse.Namespace) -> int:
     from vo2_models.identification.loop_law import LAW_CHOICES
     from vo2_models.identification.model_fit import fit_model
     from vo2_models.model_file import check_model_place, save_model_parameters
+    from vo2_models.self_sensing.records import COMPOSITE
 
     from vo2_identification.bags import read_recording
     from vo2_identification.bags.problems import in_few_lines
@@ -70,6 +74,7 @@ def _run(options: argparse.Namespace) -> int:
         if options.law and options.law not in LAW_CHOICES:
             raise ValueError(f"--law: found {options.law!r}, need one of {', '.join(LAW_CHOICES)}")
         device = preset(options.device)
+        plays = _plays_of(options)
         check_model_place(options.output, MARK)
         recordings = []
         for bag in options.bag:
@@ -85,7 +90,7 @@ def _run(options: argparse.Namespace) -> int:
         result, parameters = fit_model(
             recordings,
             options.device,
-            plays=options.plays,
+            plays=plays,
             progress=lambda text, share: progress(share, text),
             names=names,
             self_sensing=not options.simulation_only,
@@ -100,6 +105,11 @@ def _run(options: argparse.Namespace) -> int:
         return refuse("fit", f"{options.output}: cannot be written ({error.strerror or error})")
     for line in _summary(result):
         print(line)
+    if count := np.size(parameters.get(f"{COMPOSITE}.resistance.weights", ())) * bool(options.law):
+        print(
+            f"self-sensing: law {options.law} is that of the simulation; the estimate of the estimator does not depend on --law, "
+            f"its laws are fitted apart (composite: {count} plays)"
+        )
     print(f"wrote {options.output} in {time.monotonic() - begun:.1f} s")
     return 0
 
@@ -108,6 +118,7 @@ def _run_folder(options: argparse.Namespace) -> int:
     from vo2_identification.batch import fit_folder
 
     try:
+        options.plays = _plays_of(options)
         return fit_folder(options)
     except ValueError as error:
         return refuse("fit", error)
@@ -115,6 +126,26 @@ def _run_folder(options: argparse.Namespace) -> int:
         return refuse(
             "fit", f"{error.filename or options.output}: cannot be written ({error.strerror or error})"
         )
+
+
+def _plays_of(options: argparse.Namespace) -> int:
+    """Return the number of plays; refuse one that is given for a law without plays, or where held-out parts choose it."""
+    from vo2_models.device.description import preset
+    from vo2_models.hysteresis.law_fit import OF_PLAYS
+    from vo2_models.hysteresis.law_fit import PLAYS as COUNT
+    from vo2_models.identification.loop_law import AUTO, PLAYS
+
+    device = preset(options.device)
+    taken = (*OF_PLAYS, *((PLAYS, AUTO) if device.has_body else ()))
+    if options.plays is None:
+        return COUNT
+    if (options.law or (PLAYS if device.has_body else "")) not in taken:
+        what = f"law {options.law}" if options.law else "the law that held-out parts choose"
+        raise ValueError(
+            f"--plays: found {options.plays} with {what} on device {device.id}, need one of --law {', '.join(taken)}; "
+            "or leave --plays out"
+        )
+    return int(options.plays)
 
 
 def of_device(recording: Recording, device: str, bag: Path) -> Recording:
@@ -185,8 +216,12 @@ class _Parser(argparse.ArgumentParser):
 
     def format_help(self) -> str:
         from vo2_models.identification.loop_law import LAW_CHOICES
+        from vo2_models.self_sensing.composite_fit import PLAYS as COMPOSITE_PLAYS
 
-        self.epilog = f"laws: {', '.join(LAW_CHOICES)}"
+        self.epilog = (
+            f"laws: {', '.join(LAW_CHOICES)}. On a device with a heated body the estimate of the estimator does not depend on "
+            f"LAW: its laws of self-sensing are fitted apart, those of kind composite with {COMPOSITE_PLAYS} plays."
+        )
         return super().format_help()
 
 
@@ -205,18 +240,24 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_batch_options(parser)
     parser.add_argument(
-        "--device", required=True, help="device: integrated, peltier, or the path of a device file"
+        "--device",
+        required=True,
+        help="device: integrated, peltier, peltier_chapter8, or the path of a device file",
     )
     parser.add_argument(
         "--output", type=Path, required=True, help="model file to write (YAML); with --bags a folder"
     )
-    parser.add_argument("--plays", type=_plays, default=12, help="plays of each channel's loop (default 12)")
+    parser.add_argument(
+        "--plays",
+        type=_plays,
+        help="plays of each channel's loop, or of law gpi or egpi (default 12); without a heated body of these two alone",
+    )
     parser.add_argument(
         "--law",
         default="",
         metavar="LAW",
-        help="hysteresis law of the simulation, one of those below: cs is a sparse Preisach density (compressive sensing), auto "
-        "the one that predicts held-out parts best "
+        help="with --bag: hysteresis law of the simulation (not of self-sensing), one of those below: cs is a sparse Preisach "
+        "density (compressive sensing), auto the one that predicts held-out parts best "
         "(default: plays; without a heated body plays, preisach or bounded_plays, by held-out error)",
     )
     parser.add_argument(

@@ -54,7 +54,12 @@ from vo2_identification.work_action import WorkAction
 __all__ = ["IDENTIFIER_PARAMETERS", "IdentifierNode", "main"]
 
 IDENTIFIER_PARAMETERS = (
-    Parameter("preset", "integrated", "", "Device: integrated, peltier, or the path of a device file."),
+    Parameter(
+        "preset",
+        "integrated",
+        "",
+        "Device: integrated, peltier, peltier_chapter8, or the path of a device file.",
+    ),
     Parameter("rate_hz", 0.0, "Hz", "Sampling rate; 0 for the preset's.", 0.0, 20e3),
     AUTOSTART,
     *EXCITATION_PARAMETERS,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vo2_models.recording import RESISTANCE, Recording
+from vo2_models.recording import COMMANDED_CURRENT, HEATER_CURRENT, RESISTANCE, Recording
 from vo2_models.units import shown_unit
 
 if TYPE_CHECKING:
@@ -116,7 +116,12 @@ def predicted_recording(prediction: Prediction, device: DeviceDescription) -> Re
 
 def summary(prediction: Prediction, device: DeviceDescription) -> list[str]:
     """Return one sentence per response, and what speaks against trusting it."""
-    lines = []
+    poor = any(one.inside < _FEW_INSIDE for one in prediction.channels.values())
+    lines = (
+        [f"the recording does not fit the model: {doubt}" for doubt in _doubts(prediction, device)]
+        if poor
+        else []
+    )
     low, high = sorted(device.current_range)
     least, most = (float(f(prediction.drive)) for f in (np.nanmin, np.nanmax))
     beyond = _BEYOND * (high - low)  # a drive is read back with noise
@@ -149,6 +154,23 @@ def summary(prediction: Prediction, device: DeviceDescription) -> list[str]:
                 )
         lines.append(text)
     return [*lines, _BOUNDS]
+
+
+def _doubts(prediction: Prediction, device: DeviceDescription) -> list[str]:
+    """What only a mistake makes of a recording, as `diagnose` refuses it: a unit, a column or a sign that is another one."""
+    from vo2_models.diagnosis.consistency import runs_against
+    from vo2_models.diagnosis.limits import Limits
+    from vo2_models.diagnosis.nominal import judged
+    from vo2_models.identification.plausibility import doubts
+
+    seen, pairs = {HEATER_CURRENT: prediction.drive}, {}
+    for role, one in prediction.channels.items():
+        if one.measured is not None:
+            seen[role], values = one.measured, judged(role, one.measured)
+            good = np.isfinite(values)
+            pairs[role] = (values[good], judged(role, one.value)[good])
+    told = doubts(Recording(prediction.time_s, seen, device.id), device.key)
+    return told or [device.in_own_names(text) for text in [runs_against(pairs, Limits())] if text]
 
 
 def prediction_page(prediction: Prediction, model: DeviceModel) -> str:
@@ -230,6 +252,7 @@ def _recording(options: argparse.Namespace, device: DeviceDescription) -> Record
     """The drive, with measured responses where there are some, in roles."""
     if options.bag is not None:
         from vo2_models.device.description import PRESETS
+        from vo2_models.identification.plausibility import undriven
 
         from vo2_identification.bags import read_recording
         from vo2_identification.bags.problems import in_few_lines
@@ -242,6 +265,8 @@ def _recording(options: argparse.Namespace, device: DeviceDescription) -> Record
                 f"{options.bag}: was recorded on device {recording.device!r}, the model is of {device.id!r}; give the model of "
                 "this device"
             )
+        if COMMANDED_CURRENT not in recording and (told := undriven(recording, device.key)):
+            raise ValueError(f"{options.bag}: {told}")
         return recording
     if options.csv is not None:
         return device.in_roles(_table(options.csv, device))

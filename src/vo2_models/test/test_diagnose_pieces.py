@@ -149,6 +149,9 @@ def test_what_is_unusable_is_refused_with_the_reason() -> None:
     flat = np.full(2000, 5e-3)
     cases = {
         "was recorded on device 'peltier'": recording(device="peltier"),
+        "need heater_current, the drive of device integrated: is it a recording of another device": Recording(
+            time, {"tip_deflection": recording()["tip_deflection"]}
+        ),
         "varies by": recording(heater_current=flat),
         "check the unit": recording(heater_current=recording()["heater_current"] * 1e3),
         "clock": recording(time_s=np.cumsum(rng.uniform(0.2e-3, 3e-3, 2000))),
@@ -158,7 +161,7 @@ def test_what_is_unusable_is_refused_with_the_reason() -> None:
             tip_deflection=2e-5 + 2e-6 * rng.standard_normal(2000),
         ),
         "is it in kohm": recording(film_resistance=1e-3 * recording()["film_resistance"]),
-        "is it in um": recording(tip_deflection=1e6 * recording()["tip_deflection"]),
+        "off by a factor of 1 000 000": recording(tip_deflection=1e6 * recording()["tip_deflection"]),
         "is constant": recording(film_resistance=np.full(2000, 1e5), tip_deflection=np.full(2000, 1e-5)),
         "missing from": recording(
             film_resistance=np.full(2000, np.nan), tip_deflection=np.full(2000, np.nan)

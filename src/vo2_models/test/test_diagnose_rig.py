@@ -451,6 +451,21 @@ def test_of_several_one_is_told_only_where_it_is_ahead_and_probable(lagging, mon
     assert decide.told_as(lagging.decision, several).rival_pairs == lagging.decision.rival_pairs
 
 
+def test_of_a_set_no_member_is_the_answer_and_no_other_effect_is_told_beside_it(lagging):
+    further = (*lagging.decision.rival_pairs, (lagging.decision.rival_pairs[0][0], "creep"))
+    found = replace(lagging, decision=replace(lagging.decision, rival_pairs=further))
+    answer = assemble_diagnosis(found)
+    (effect,) = answer.effects
+    assert {name for pair in answer.indistinguishable for name in pair} == set(effect.siblings)
+    for one in answer.candidates:
+        assert one.why_not and ("one of the set" in one.why_not) is (one.id in effect.siblings)
+    (unknown,) = (one for one in answer.candidates if one.id == "unknown")
+    assert "in no catalogue" in unknown.why_not
+    page = report_page(found, answer)
+    assert f"One of {', '.join(effect.siblings)} (probability" in page
+    assert ">the answer<" not in page and "equally well" not in page
+
+
 def test_units_of_parameters_are_those_of_the_device():
     volts = described({**json.loads(DEVICE.document), "responses": {"moment": {"unit": "A m2"}}}, "stack")
     told = [

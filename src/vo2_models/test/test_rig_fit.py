@@ -270,6 +270,20 @@ def test_recordings_that_cannot_be_fitted():
         fit_model([_recording(_drive(400, 50), noise)], _device().key)
 
 
+def test_a_response_that_stands_still_is_told_with_its_value():
+    recording = _recording(_drive(400, 50), np.zeros(400))
+    with pytest.raises(
+        ValueError, match=r"^sweep: extension stands still at 0 m in every sample, .* check that it is"
+    ):
+        fit_model([recording], _device().key, names=["sweep"])
+
+
+def test_a_law_with_plays_takes_their_number():
+    recording = _recording(drive := _drive(400, 50), _measured(drive))
+    result, _ = fit_model([recording], _device().key, law="egpi", plays=3)
+    assert np.size(result.model.deflection.weights) == 3
+
+
 def _ramps(seed: int, count: int) -> np.ndarray:
     """Ramps of three rates between random levels, holds and jumps."""
     rng, at = np.random.default_rng(seed), 60.0

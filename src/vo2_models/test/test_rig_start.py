@@ -5,8 +5,9 @@ import pytest
 import yaml
 from vo2_models.device.description import described
 from vo2_models.diagnosis import diagnose
+from vo2_models.identification.loops_fit import COLD
 from vo2_models.identification.model_fit import fit_model
-from vo2_models.identification.rig_start import known_from
+from vo2_models.identification.rig_start import _is_unknown, known_from
 from vo2_models.prediction import predict
 from vo2_models.recording import Recording
 
@@ -100,3 +101,16 @@ def test_a_prediction_is_judged_from_where_the_beginning_is_forgotten(fitted) ->
     one, other = (predict(model, each).channels["tip_deflection"] for each in (relaxed, from_an_end))
     assert one.unknown and not other.unknown
     assert one.error == pytest.approx(other.error, rel=0.3)
+
+
+def test_a_relaxed_start_is_seen_where_loops_are_narrow_beside_the_way_from_saturation() -> None:
+    drive = np.interp(np.arange(1200), np.arange(31) * 40, levels(2)[:31])
+    radii = np.linspace(0.02, 1.5, 40)
+    state = np.zeros(radii.size)
+    response = np.empty(drive.size)
+    for k, u in enumerate(drive):
+        state = np.clip(state, u - radii, u + radii)
+        response[k] = np.mean(np.tanh(state / 0.4))
+    path = np.concatenate([[COLD], 60.0 + 3.0 * drive])
+    before = np.arange(path.size) <= known_from(drive)
+    assert _is_unknown(path, np.concatenate([[np.nan], response]), before)

@@ -4,12 +4,13 @@ import itertools
 from importlib.resources import files
 
 import pytest
+import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 from vo2_interface.testing import bench
-from vo2_models.device import truth
+from vo2_models.device import preset, truth
 from vo2_plant_sim.plant_node import PlantNode
 
 CHANNELS = ("heater_current", "film_resistance", "tip_deflection")
@@ -225,6 +226,21 @@ def test_the_plant_says_what_it_simulates_on_the_clock_of_its_samples():
             "simulates integrated, seed 3, effects {creep: {share: 0.05}}, noise on, lockstep"
         )
         assert set(stamps) == {1}
+
+
+@pytest.mark.parametrize("as_file", [True, False])
+def test_the_plant_tells_a_device_by_its_id_however_it_was_given(tmp_path, as_file):
+    device = tmp_path / "device.yaml"
+    shipped = (files("vo2_models.device") / "files" / "integrated.yaml").read_text()
+    device.write_text(shipped.replace("id: integrated", "id: warm"))
+    # a published parameter file holds the whole description
+    given = {"/**": {"ros__parameters": {"preset": str(device) if as_file else preset(device).key}}}
+    (tmp_path / "parameters.yaml").write_text(yaml.safe_dump(given))
+    with bench(["--ros-args", "--params-file", str(tmp_path / "parameters.yaml")]) as rig:
+        plant = rig.add(PlantNode)
+        rig.until(lambda: rig.status("plant: device")[0])
+        assert rig.status("plant: device")[0].startswith("simulates warm, seed 1, ")
+        assert plant._diagnostics.hardware_id == "warm"
 
 
 def wall(rig, samples, command):

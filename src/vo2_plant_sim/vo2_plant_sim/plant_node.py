@@ -44,6 +44,7 @@ from vo2_interface.topics import (
     ONE_DEVICE,
     SAMPLE_QOS,
 )
+from vo2_models.device.description import preset as description
 from vo2_models.parameters import Parameter, Value
 
 from vo2_plant_sim.simulated_device import SIMULATED_DEVICE_PARAMETERS, TRUE_CHANNELS, simulated_device
@@ -51,7 +52,12 @@ from vo2_plant_sim.simulated_device import SIMULATED_DEVICE_PARAMETERS, TRUE_CHA
 __all__ = ["PLANT_PARAMETERS", "PlantNode", "main"]
 
 PLANT_PARAMETERS = (
-    Parameter("preset", "integrated", "", "Device: integrated, peltier, or the path of a device file."),
+    Parameter(
+        "preset",
+        "integrated",
+        "",
+        "Device: integrated, peltier, peltier_chapter8, or the path of a device file.",
+    ),
     Parameter(
         "time", "lockstep", "", "Simulated time in lockstep, or wall time.", choices=("lockstep", "wall")
     ),
@@ -112,7 +118,9 @@ class PlantNode(Node):
         self._period_ns = round(self._device.period * 1e9)
         self._lockstep = self._table.text("time") == "lockstep"
         self._truth = self._table.flag("true_channels")
-        self._diagnostics = Diagnostics(self, hardware_id=preset, wall_time=not self._lockstep)
+        # of a published file `preset` is a whole description
+        device_id = description(preset).id
+        self._diagnostics = Diagnostics(self, hardware_id=device_id, wall_time=not self._lockstep)
         self._until_ns = 0
         self._odd_at: float | None = None
         self._revision = -1
@@ -151,14 +159,14 @@ class PlantNode(Node):
             self._reader = SampleReader((*COMMAND_CHANNELS, COMMANDER))
             SampleInput(self, COMMAND, self._on_paced_command, self._diagnostics)
             create_steady_timer(self, self._device.period, self._on_tick)
-        self._tell_device(preset)
+        self._tell_device(device_id)
 
-    def _tell_device(self, preset: str) -> None:
+    def _tell_device(self, device_id: str) -> None:
         """Say what is simulated: from outside one device looks like another."""
         table = self._table
         what = f"seed {table.number('seed'):g}" if table.text("source") == "truth" else "the model of model.*"
         parts = [
-            f"simulates {preset}, {what}",
+            f"simulates {device_id}, {what}",
             f"effects {table.text('effects') or 'none'}",
             f"noise {'on' if table.flag('noise') else 'off'}",
             f"{table.text('time')} time at {1.0 / self._device.period:g} Hz",

@@ -96,10 +96,19 @@ def test_how_an_answer_stands_to_an_experts():
         (pulses, _said("differs", ("creep", "structure")), "wrong name"),
         (pulses, _said("differs", ("unknown", "heat")), "unknown, same family"),
         (pulses, _said("differs", ("unknown", "drive")), "another family"),
-        (drift, _said("differs", ("unknown", "sensor:moment")), "unknown, same family"),
+        (drift, _said("agrees"), "same"),
+        (drift, _said("drifted"), "another verdict"),
+        (drift, _said("differs", ("unknown", "sensor:moment")), "another verdict"),
+        (drift, _said("differs", ("sensor_gain_drift", "sensor:moment")), "wrong name"),
     ):
         assert agreement(condition, said) == word
         assert word in AGREEMENT
+
+
+def test_an_expert_does_not_take_both_that_something_differs_and_that_nothing_does():
+    for one in read_conditions(EXAMPLES / "conditions.yaml"):
+        assert "differs" not in one.verdict or one.verdict == ("differs",), one.id
+        assert "differs" in one.verdict or (not one.names and not one.families), one.id
 
 
 def test_a_condition_without_a_drive_is_not_asked(tmp_path):

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from vo2_control.pid import PUBLISHED_PELTIER_PID, pid_law
+from vo2_models.hysteresis import EGPI, Sine, Tanh, TanhEnvelopes
 from vo2_studies.preisach.nonmonotonic_study import PUBLISHED_PERCENT
 from vo2_studies.reproduce import candidates, chapter8, kept, main
 from vo2_studies.reproduce.claims import (
@@ -49,6 +50,7 @@ from vo2_studies.reproduce.sections import (
     arithmetic,
     chapter_3_5,
     chapter_4_4,
+    chapter_5,
     chapter_6,
     chapter_8_own,
     chapter_8_robustness,
@@ -250,6 +252,37 @@ def test_shares_of_chapter_5_are_printed_errors_over_printed_ranges():
 def test_the_linear_term_needs_an_input_off_the_walls():
     claim = chapter_4_4._rank()
     assert claim.met and "the rank is 466" in claim.conditions
+
+
+def test_every_number_of_tables_6_1_and_6_2_is_a_claim_that_its_own_model_meets():
+    heating_is_l = ("6.1", "EGPI"), ("6.2", "GPI"), ("6.2", "EGPI")
+    models = {"6.1": {}, "6.2": {}}
+    for (table, kind), row in chapter_6._TABLES.items():
+        letters = "LR" if (table, kind) in heating_is_l else "RL"
+        envelopes = TanhEnvelopes(*(row[f"{name}_{letter}"] for letter in letters for name in "ab"))
+        part = {
+            5: lambda row: None, 7: lambda row: Sine(row["p_0"], row["omega"]),
+            8: lambda row: Tanh(row["p_0"], row["a_D"], row["b_D"]),
+        }[len(row)](row)  # fmt: skip
+        more = {} if part is None else {"memoryless": part}
+        models[table][kind] = EGPI([0.1], [1.0], envelopes, bias=row.get("c_1", row.get("c_2")), **more)
+    claims = chapter_6._of_tables({table: [one] for table, one in models.items()}, "basis")
+    assert len(claims) == 25 and all(
+        claim.met and claim.ours == pytest.approx(claim.published) for claim in claims
+    )
+    assert sum("printed as L" in claim.conditions for claim in claims) == 20
+
+
+def test_what_an_error_of_the_stage_moves_is_at_most_what_the_loop_has_for_it():
+    found = chapter_5.wandering_um(1)
+    # +-0.1 K of at most 15 um/K, the steepest place of a loop of 70 um within 5 K
+    assert set(found) == {"heated", "cooled"} and all(0.0 < one < 3.0 for one in found.values())
+
+
+def test_the_range_of_table_7_2_is_not_the_printed_one():
+    low, high = (one for one in arithmetic.derived() if one.section == "7.1.3")
+    assert low.given == pytest.approx(47.6, abs=0.1) and not low.contradicts
+    assert high.given == pytest.approx(95.1, abs=0.1) and "47.6 to 95.1 um" in high.contradicts
 
 
 def test_sections_are_complete_and_unique():

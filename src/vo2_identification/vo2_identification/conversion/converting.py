@@ -137,6 +137,15 @@ def _convert(table: Table, series: Series, column_map: ColumnMap, name: str) -> 
     index, disorder = increasing_samples(table.path, samples)
     rows = rows[keep]
     if index.size < _FEWEST_KEPT * keep.size:
+        steps = np.diff(stamp_ns)
+        again = np.flatnonzero(steps == 0) + 1
+        if again.size > np.count_nonzero(steps < 0) and np.any(steps > 0):
+            first = again[0]
+            raise MapError(
+                f"{table.path}: {again.size} of {keep.size} rows have the time of the row before with other values, first "
+                f"row {rows[first]} ({stamp_ns[first] / 1e9:.9g} s); need one row per time: give a time column with more "
+                "digits, or rate_hz in place of a column"
+            )
         raise MapError(
             f"{table.path}: of {keep.size} rows only {index.size} would be left in order of time, which runs from "
             f"{time_s[keep[0]]:.9g} s in row {rows[0]} to {time_s[keep[-1]]:.9g} s in row {rows[-1]}; check the time "

@@ -235,7 +235,9 @@ def continue_with_next(
     from vo2_identification.bags import read_recording
     from vo2_identification.diagnose.play import play
 
-    print(f"--next: playing an experiment that separates {' and '.join(experiment.separates)}", flush=True)
+    names = dict.fromkeys(experiment.separates)
+    purpose = f"separates {' and '.join(names)}" if len(names) > 1 else "covers what no recording has yet"
+    print(f"--next: playing an experiment that {purpose}", flush=True)
     recording, _ = read_recording(bags[0])
     bag = output / "next"
     with Progress("diagnose", quiet=quiet, every_s=_SAY_S, first_s=_SAY_S) as progress:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -15,9 +14,8 @@ from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.noise import level_from_differences
 from vo2_models.diagnosis.nominal import Nominal, judged
 from vo2_models.effects.adc_quantization import value_step
-from vo2_models.identification.plausibility import impossible, unusual
+from vo2_models.identification.plausibility import impossible, undriven, unexcited, unusual
 from vo2_models.recording import (
-    COMMANDED_CURRENT,
     HEATER_CURRENT,
     JITTERED,
     RESISTANCE,
@@ -78,13 +76,9 @@ def check_recording(
         )
     if len(recording) < limits.shortest:
         raise Unusable(f"{name}: found {len(recording)} samples, need at least {limits.shortest}")
-    if HEATER_CURRENT not in recording:
-        raise Unusable(
-            f"{name}: found channels {', '.join(recording.channels) or 'none'}, need heater_current"
-        )
-    if told := _mixed_up(recording, nominal, limits):
+    if told := undriven(recording, nominal.device):
         raise Unusable(f"{name}: {told}")
-    if wrong := impossible(recording, nominal.device):
+    if wrong := impossible(recording, nominal.device, limits=limits):
         raise Unusable(f"{name}: {'; '.join(wrong)}")
     dead = [
         c
@@ -128,28 +122,6 @@ def check_recording(
         )
         raise Unusable(f"{name}: neither film_resistance nor tip_deflection can be used: {reasons}")
     return findings
-
-
-def _mixed_up(recording: Recording, nominal: Nominal, limits: Limits) -> str:
-    """What says that two channels are one, or each other's; empty for nothing."""
-    device = preset(nominal.device)
-    drive = COMMANDED_CURRENT if COMMANDED_CURRENT in recording else HEATER_CURRENT
-    present = [c for c in (drive, RESISTANCE, TIP_DEFLECTION) if c in recording]
-    for first, second in combinations(present, 2):
-        x, y = recording[first], recording[second]
-        both = np.isfinite(x) & np.isfinite(y) & (x != 0.0)
-        if np.count_nonzero(both) > 2 and np.ptp(x[both]) > 0.0 and np.any(y[both]):
-            ratio = y[both] / x[both]
-            if np.ptp(ratio) <= limits.copied * float(np.max(np.abs(ratio))):
-                return f"{second} is a copy of {first}, times {ratio[0]:.4g}: need what each sensor measured"
-    ends = {RESISTANCE: device.resistance_range[1], TIP_DEFLECTION: max(map(abs, device.deflection_extent))}
-    if all(c in recording and np.isfinite(recording[c]).any() for c in ends):
-        largest = {c: float(np.nanmax(np.abs(recording[c]))) for c in ends}
-        crossed = (largest[RESISTANCE] / ends[TIP_DEFLECTION], largest[TIP_DEFLECTION] / ends[RESISTANCE])
-        distinct = ends[RESISTANCE] > limits.far_off**2 * ends[TIP_DEFLECTION]
-        if distinct and all(1.0 / limits.far_off < ratio < limits.far_off for ratio in crossed):
-            return f"{RESISTANCE} and {TIP_DEFLECTION} are swapped: each has the values of the other"
-    return ""
 
 
 class ClockFaults(NamedTuple):
@@ -239,11 +211,8 @@ def _drive(recording: Recording, nominal: Nominal, name: str, limits: Limits) ->
     device = nominal.model.description
     low, high = device.operating_range
     extent = float(np.ptp(current[good]))
-    if extent < limits.no_drive * abs(high - low):
-        raise Unusable(
-            f"{name}: heater_current varies by {extent:.3g} {device.drive_unit} of an operating range of {abs(high - low):.3g}: "
-            "check its unit, or record an excitation"
-        )
+    if told := unexcited(current, nominal.device, limits=limits):
+        raise Unusable(f"{name}: {told}")
     if extent < limits.narrow * abs(high - low):
         return [
             Finding(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vo2_models.diagnosis.check import Unusable
 from vo2_models.diagnosis.limits import Limits
@@ -13,7 +14,9 @@ from vo2_models.diagnosis.nominal import Nominal, Response, loop_ends
 from vo2_models.diagnosis.part import Part
 from vo2_models.recording import RESISTANCE
 
-__all__ = ["check_consistency"]
+__all__ = ["check_consistency", "runs_against"]
+
+Floats = NDArray[np.float64]
 
 
 def check_consistency(
@@ -36,7 +39,10 @@ def check_consistency(
         if _same(one, other):
             raise Unusable(f"{other.name}: is {one.name} once more; need each recording once")
     for part, response in started:
-        if told := _reversed(part, response, limits):
+        pairs = {
+            c: (part.observed[c][part.valid[c]], response.channels[c][part.valid[c]]) for c in part.channels
+        }
+        if told := runs_against(pairs, limits):
             raise Unusable(f"{part.name}: {told}")
     _check_films(started, nominal, limits)
     for part, response in started[:calibrations]:
@@ -51,13 +57,17 @@ def _same(one: Part, other: Part) -> bool:
     )
 
 
-def _reversed(part: Part, response: Response, limits: Limits) -> str:
-    """What says that a sign is the other way round; empty for nothing."""
+def runs_against(pairs: Mapping[str, tuple[Floats, Floats]], limits: Limits) -> str:
+    """Return what says that a sign is the other way round; empty for nothing.
+
+    Parameters
+    ----------
+    pairs : channel -> what was seen and what was expected (n,), in judged units
+    limits : of what runs the other way
+    """
     against = []
-    for channel in part.channels:
-        good = part.valid[channel]
-        seen, expected = part.observed[channel][good], response.channels[channel][good]
-        if np.ptp(seen) > 0.0 and np.ptp(expected) > 0.0:
+    for channel, (seen, expected) in pairs.items():
+        if seen.size and np.ptp(seen) > 0.0 and np.ptp(expected) > 0.0:
             against.append((channel, float(np.corrcoef(seen, expected)[0, 1])))
     upside = [channel for channel, cosine in against if cosine < limits.reverse]
     if not upside:

@@ -66,11 +66,13 @@ class CorrectedModel:
     parameters : of the model file
     unnamed : terms in it that stand for what has no name; None for none
     nrmse : channel -> root mean square of what it leaves of the recordings, over the channel's range
+    impossible : why the constants of the calibration are in it in place of those that were found; empty where these are
     """
 
     parameters: Mapping[str, Value]
     unnamed: StandIn | None
     nrmse: Mapping[str, float]
+    impossible: str = ""
 
 
 @dataclass(frozen=True)
@@ -81,10 +83,12 @@ class _Written:
     ----------
     parameters : of the model file; a constant that is another one in each recording has their mean
     apart : constant -> how far it is from that mean, of each recording; empty where none is
+    impossible : as of `CorrectedModel`
     """
 
     parameters: Mapping[str, Value]
     apart: tuple[Mapping[str, float], ...] = ()
+    impossible: str = ""
 
     def of_part(self, place: int) -> Mapping[str, float]:
         """Return what a recording differs by from the file."""
@@ -142,12 +146,12 @@ def corrected_model(study: Study) -> CorrectedModel:
         return CorrectedModel(as_it_is, None, _judged(study, _Written(as_it_is))[1])
     unnamed = stand_in(study)
     if unnamed is not None:
-        parameters, nrmse = _nearest(study, [_Written(as_it_is), *_written(study, unnamed)])
-        if parameters is not as_it_is:
-            return CorrectedModel(parameters, unnamed, nrmse)
+        written, nrmse = _nearest(study, [_Written(as_it_is), *_written(study, unnamed)])
+        if written.parameters is not as_it_is:
+            return CorrectedModel(written.parameters, unnamed, nrmse, written.impossible)
     # what is told is in the file, however little of the residual it is
-    parameters, nrmse = _nearest(study, _written(study, None))
-    return CorrectedModel(parameters, None, nrmse)
+    written, nrmse = _nearest(study, _written(study, None))
+    return CorrectedModel(written.parameters, None, nrmse, written.impossible)
 
 
 def distance(study: Study) -> float:
@@ -165,14 +169,14 @@ def distance(study: Study) -> float:
     return float(np.sqrt(corrected / max(as_it_is, 1e-300)))
 
 
-def _nearest(study: Study, candidates: Iterable[_Written]) -> tuple[Mapping[str, Value], dict[str, float]]:
+def _nearest(study: Study, candidates: Iterable[_Written]) -> tuple[_Written, dict[str, float]]:
     """The first of the candidates, or a later one that leaves clearly less; with what it leaves of each channel."""
-    best: Mapping[str, Value] = {}
+    best = _Written({})
     least, nrmse = np.inf, dict[str, float]()
     for written in candidates:
         square, left = _judged(study, written)
-        if not best or square < (1.0 - study.limits.worth) * least:
-            best, least, nrmse = written.parameters, square, left
+        if not best.parameters or square < (1.0 - study.limits.worth) * least:
+            best, least, nrmse = written, square, left
     return best, nrmse
 
 
@@ -216,15 +220,25 @@ def _written(study: Study, unnamed: StandIn | None) -> Iterator[_Written]:
     model = study.located.nominal.model
     shown = {key: values for evident in study.reading.evident for key, values in evident.effects.items()}
     rest = final.residual - chosen.deviation if chosen else final.residual
+    added = {**model.effects, **(chosen.effects if chosen else {}), **shown}
 
     def with_constants(bases: Mapping[str, Value], moves: Floats, laws: Mapping[str, Law]) -> _Written:
+        try:
+            found = moved_by(bases, moves, laws)
+            Nominal.from_parameters(found.parameters)
+            return found
+        except ValueError as error:  # constants that no device has: the calibrated ones stay
+            kept = replace(model, effects=added, deflection=laws["deflection"], resistance=laws["resistance"])
+            return _Written({**bases, **kept.to_parameters()}, impossible=str(error))
+
+    def moved_by(bases: Mapping[str, Value], moves: Floats, laws: Mapping[str, Law]) -> _Written:
         values = final.moved(moves)
         own = [final.moved(moves, place) for place in range(len(final.parts))]
         apart = {c.name for c in final.constants if c.part is not None}
         zero, gain = values.get("deflection.zero", 0.0), values.get("deflection.gain", 1.0)
         moved = replace(
             model,
-            effects={**model.effects, **(chosen.effects if chosen else {}), **shown},
+            effects=added,
             scalars={**model.scalars, **{name: values[name] for name in THERMAL if name in values}},
             deflection=_scaled(laws["deflection"], gain, zero),
             # the law is that of -log10 R, the constant 1 + ln gain

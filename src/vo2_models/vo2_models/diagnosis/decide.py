@@ -170,9 +170,9 @@ def _judged(
     shown = 0.0
     alone = _moved_alone(located, limits, first_use=first_use) if located.own_misfit else None
     for option in found.options:
-        judged = held_out(
-            option.final, option.chosen, limits, reference=problem, folds=folds, tick=clock.tick
-        )
+        # each recording has a course of its own, of which the others tell nothing
+        own = block_folds(problem) if option.chosen.courses else folds
+        judged = held_out(option.final, option.chosen, limits, reference=problem, folds=own, tick=clock.tick)
         shows = judged.drop > limits.share * option.chosen.gain or judged.share > limits.share
         adequacy = adequacy_of(option, limits)
         judgements.append(adequacy)

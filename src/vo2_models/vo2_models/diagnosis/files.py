@@ -50,9 +50,14 @@ def write_results(
         said.append(
             f"corrected_model.yaml holds constants that were fitted beside the answer and are not told to have moved: {fitted}"
         )
-    if means := sorted({m.constant for m in diagnosis.moved if m.recording}):
+    if corrected.impossible:
+        said.append(
+            "corrected_model.yaml keeps the constants of the calibration, as those that were found are of no possible device "
+            f"({corrected.impossible.partition(':')[0]} is out of its bounds): check that command and measurement are of one run"
+        )
+    elif means := sorted({m.constant for m in diagnosis.moved if m.recording}):
         said.append(f"corrected_model.yaml holds the mean over the recordings of {', '.join(means)}")
-    if study.verdict != "agrees":
+    if study.verdict != "agrees" and not corrected.impossible:
         said += _farther_off(corrected, diagnosis, study)
     diagnosis = replace(
         diagnosis, limits=[*problems, *diagnosis.limits, *said], seconds=seconds or diagnosis.seconds
@@ -61,7 +66,7 @@ def write_results(
     # nothing is written before everything is known to be sound
     validate(diagnosis.to_dict())
     names = ", ".join(e.id for e in diagnosis.effects) or "none"
-    moved = ", ".join(map(str, diagnosis.moved)) or "none"
+    moved = ("" if corrected.impossible else ", ".join(map(str, diagnosis.moved))) or "none"
     save_model_parameters(
         folder / "corrected_model.yaml",
         corrected.parameters,

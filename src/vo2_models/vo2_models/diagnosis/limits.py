@@ -180,6 +180,11 @@ class Limits:
         0.25,
         "largest cosine of a second effect's pattern with the first's where it gains less: such an equation leaves its like",
     )
+    beside_course: float = _limit(
+        0.1,
+        "share of the gain of a course in time from which a second effect that goes on and off is named beside it: the splines "
+        "left 0.06 of a room that swung seven times in a recording, the one case looked at",
+    )
     excess: float = _limit(
         0.5,
         "where nothing is named, a recording differs from this residual power beyond the noise on: of 63 unchanged devices of "

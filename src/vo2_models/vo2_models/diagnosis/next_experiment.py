@@ -25,9 +25,11 @@ from vo2_models.diagnosis.problem import LinearisedProblem, linearise_problem
 from vo2_models.diagnosis.result import NextExperiment
 from vo2_models.identification.excitation import chirp, first_order_reversal_fan, random_levels
 
-__all__ = ["Excitable", "by_hand", "library", "propose", "without_explanation"]
+__all__ = ["Excitable", "by_hand", "library", "propose", "to_cover", "without_explanation"]
 
 Floats = NDArray[np.float64]
+COVERING = "short steps of all sizes"
+"""Excitation of the library that goes over the whole range, through loops of all sizes and at many rates."""
 SAMPLES = 5000
 """Length of a proposed experiment."""
 REPEAT = "play the same drive again, at another hour: what follows the clock or the room changes, what is the device's returns"
@@ -119,11 +121,7 @@ def library(device: str, dt: float) -> list[Excitable]:
     steady = np.linspace(begin - 8, end + 6, 12)
     found.append(Excitable("plateaus, up and down", at(np.r_[steady, steady[::-1]]), total / 24))
     found.append(Excitable("long steps across the transition", at(np.tile([high, low], 5)), total / 10))
-    found.append(
-        Excitable(
-            "short steps of all sizes", at(random_levels(low, high, 120, seed=1)), max(total / 120, 2 * dt)
-        )
-    )
+    found.append(Excitable(COVERING, at(random_levels(low, high, 120, seed=1)), max(total / 120, 2 * dt)))
     found.append(
         Excitable("random levels faster than the heat", at(random_levels(low, high, 1000, seed=2)), 5 * dt)
     )
@@ -182,13 +180,12 @@ def propose(
     if best is None:
         raise ValueError("next experiment: found no excitation, need at least one")
     distance, excitable = best
-    now = float(np.sqrt(max(abs(second.chi_square - first.chi_square), 0.0)))
     records = {h.record.id: h.record for e in (first, second) for h in e.hypotheses}
     if distance >= limits.separated:
         return NextExperiment(
             why=(
-                f"{names[0]} and {names[1]} differ by {now:.1f} standard deviations in what was recorded; "
-                f"in this experiment by a predicted {distance:.0f}."
+                f"What was recorded does not tell {names[0]} from {names[1]}; in this experiment they would differ by "
+                f"{distance:.2g} standard deviations of the noise."
             ),
             separates=list(names),
             kind="excitation",
@@ -226,6 +223,28 @@ def by_hand(mimics: Sequence[Hypothesis]) -> NextExperiment | None:
         kind="manual",
         excitation=None,
         instruction=f"Change by hand what only the effect feels while recording. {needs}.",
+    )
+
+
+def to_cover(device: str, dt: float, why: str) -> NextExperiment:
+    """Return an excitation of the whole operating range, where recordings agree with the model but cover little of it.
+
+    Nothing was compared there: what it may show has no name, and it separates nothing.
+
+    Parameters
+    ----------
+    device : preset or path of a device file
+    dt : sample period [s]
+    why : what was covered, as a clause
+    """
+    (excitable,) = (one for one in library(device, dt) if one.name == COVERING)
+    return NextExperiment(
+        why=f"{why}: what acts at other levels, in other loops or at other rates was not seen.",
+        separates=["unknown", "unknown"],
+        kind="excitation",
+        excitation=excitable.playable(),
+        instruction=f"Play {excitable.name} over the operating range with `diagnose --next`, or with `identifier` and these "
+        "levels, and give both bags to `diagnose`.",
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vo2_models.diagnosis.breakdown import Breakdown, branch_words
 from vo2_models.diagnosis.explain import Explanation
 from vo2_models.diagnosis.nominal import JUDGED_UNIT
-from vo2_models.diagnosis.report import course_of, moved_in_place
+from vo2_models.diagnosis.report import course_of, excess_by_channel, left_by_the_answer, moved_in_place
 from vo2_models.diagnosis.result import Diagnosis, NamedEffect
 from vo2_models.diagnosis.stages import Study
 from vo2_models.page.figures import figure_html, new_figure
@@ -56,6 +56,8 @@ def report_page(study: Study, diagnosis: Diagnosis) -> str:
         parts.append(_moved(study, diagnosis))
     if diagnosis.effects:
         parts.append(_what(study, diagnosis))
+    if diagnosis.not_excited:
+        parts.append(_not_excited(diagnosis))
     parts += [_gain(study, diagnosis), _next(diagnosis), _data(study, diagnosis)]
     return page("Diagnosis: simulation against recording", diagnosis.summary, parts)
 
@@ -157,7 +159,7 @@ def _where(study: Study, diagnosis: Diagnosis) -> str:
             rows,
         ),
         _residual_figure(study),
-        _map_figure(study.decision.breakdown, labels, _loop_axis(device.has_body)),
+        _map_figure(excess_by_channel(study), labels, _loop_axis(device.has_body)),
     )
 
 
@@ -170,8 +172,9 @@ def _residual_figure(study: Study) -> str:
     labels = _labels(study)
     problem = study.located.problem
     rows = [(row, part) for row, part, _ in problem.iterate() if row.part == 0]
-    after = _explained_residual(study)
+    after = left_by_the_answer(study)
     wide = ""
+    stepped = {one.signal for one in study.reading.evident if "step" in one.values}
     of_first = f"of the first recording, {problem.parts[0].name}, " if len(problem.parts) > 1 else ""
     with new_figure(7.2, 1.9 * len(rows) + 0.4) as figure:
         axes = np.atleast_1d(figure.subplots(len(rows), 1, sharex=True))
@@ -187,7 +190,8 @@ def _residual_figure(study: Study) -> str:
                 low, high, middle = _envelope(time, plain * scale)
                 axis.fill_between(middle, low, high, color=colour, alpha=alpha, linewidth=0, label=name)
             size = part.uneven.get(row.channel, np.ones(part.size))
-            level, _, middle = _envelope(time, 2.0 * noise.level * scale * size)
+            rounding = part.comb_level(row.channel) if row.channel in stepped else 0.0
+            level, _, middle = _envelope(time, 2.0 * np.hypot(noise.level * size, rounding) * scale)
             for sign, name in ((-1, "two standard deviations of the noise"), (1, "_")):
                 axis.plot(middle, sign * level, color=NOISE, linestyle="--", linewidth=0.8, label=name)
             axis.set_ylabel(label)
@@ -201,16 +205,8 @@ def _residual_figure(study: Study) -> str:
             figure,
             f"Residual (measured minus simulated) {of_first}over time; each band spans the smallest and largest value of an "
             "interval. Before: by the model file as it is. After: with the correction, and the loop shape refitted within the "
-            f"uncertainty of the calibration.{wide}",
+            f"uncertainty of the calibration.{' The noise of a channel of steps holds their rounding.' if stepped else ''}{wide}",
         )
-
-
-def _explained_residual(study: Study) -> Floats:
-    if study.decision.chosen is not None:
-        residual = study.decision.final.residual - study.decision.chosen.deviation
-        return study.decision.final.apply_inverse_covariance(residual)
-    left = study.located.problem.apply_inverse_covariance(study.located.problem.residual)
-    return left - study.decision.unnamed.prediction if study.decision.unnamed is not None else left
 
 
 def _where_flat(study: Study, channel: str, level: float) -> str:
@@ -231,10 +227,9 @@ def _envelope(time: Floats, values: Floats, pieces: int = 500) -> tuple[Floats, 
 
 
 def _map_figure(
-    parts: tuple[Breakdown, ...], labels: Mapping[str, tuple[str, str, float]], loop_axis: str
+    shown: Sequence[Breakdown], labels: Mapping[str, tuple[str, str, float]], loop_axis: str
 ) -> str:
     """Excess energy per channel over temperature, frequency, branch and memory."""
-    shown = [b for b in parts if b.excess > 0]
     if not shown:
         return ""
     colours = dict(zip(SHOWN, ("#0072B2", "#D55E00", "#009E73", "#CC79A7"), strict=True))
@@ -316,25 +311,29 @@ def _what(study: Study, diagnosis: Diagnosis) -> str:
     if diagnosis.candidates:
         rows = [
             (
-                c.id + (f" ({labels[c.signal][0]})" if c.signal else ""),
+                ("something else (unknown)" if c.id == "unknown" else c.id)
+                + (f" ({labels[c.signal][0]})" if c.signal else ""),
                 f"{c.probability:.3f}",
                 f"{100 * c.explained_share:.0f} %",
-                c.why_not or "the answer",
+                c.why_not or ("something that is in no catalogue" if c.id == "unknown" else "the answer"),
             )
             for c in diagnosis.candidates
         ]
         parts.append(table("Candidates", ("effect", "probability", "of the excess", "why, or why not"), rows))
-    for first, second in diagnosis.indistinguishable:
-        parts.append(paragraph(f"{first} and {second} explain these recordings equally well."))
-    if diagnosis.not_excited:
-        parts.append(
-            paragraph(
-                "Not excited by these recordings, so neither present nor absent: "
-                + ", ".join(diagnosis.not_excited)
-                + "."
-            )
-        )
+    if not study.decision.equivalent:  # of a set all are told together, above
+        parts += [
+            paragraph(f"These recordings do not tell {first} from {second}.")
+            for first, second in diagnosis.indistinguishable
+        ]
     return section("What was left out", *parts)
+
+
+def _not_excited(diagnosis: Diagnosis) -> str:
+    names = ", ".join(diagnosis.not_excited)
+    return section(
+        "What these recordings do not show",
+        paragraph(f"Not excited by these recordings, so neither present nor absent: {names}."),
+    )
 
 
 def _moved(study: Study, diagnosis: Diagnosis) -> str:
@@ -353,6 +352,9 @@ def _moved(study: Study, diagnosis: Diagnosis) -> str:
 
 def _effect(effect: NamedEffect, labels: Mapping[str, tuple[str, str, float]]) -> str:
     name = effect.id.replace("_", " ") + (f" on {labels[effect.signal][0]}" if effect.signal else "")
+    if effect.id == "unknown":
+        name = f"One of {', '.join(effect.siblings)}" if effect.siblings else "Something without a name"
+    first = effect.form.partition("; ")[0] + ". "
     parts = [
         paragraph(f"Family: {effect.family}. Form: {effect.form}."),
         *(
@@ -360,7 +362,7 @@ def _effect(effect: NamedEffect, labels: Mapping[str, tuple[str, str, float]]) -
             if effect.siblings and effect.id != "unknown"
             else []
         ),
-        paragraph(effect.statement),
+        paragraph(effect.statement.removeprefix(first)),
         paragraph(f"Added term: {effect.equation}"),
     ]
     if effect.parameters:

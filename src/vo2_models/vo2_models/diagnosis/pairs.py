@@ -228,6 +228,9 @@ def pair_of(
         return None
     if drop < limits.second * max(first.gain, 0.0) and _cosine(where, best) > limits.second_cosine:
         return None
+    # splines leave a part of a quick course, which something that goes on and off takes up
+    if best.courses and any(h.switches for h in best.hypotheses) and drop < limits.beside_course * first.gain:
+        return None
     rivals = {frozenset(joint.keys): joint for _, joint in reversed(found)}
     ranked = sorted(rivals.values(), key=lambda e: e.chi_square)
     return option_of(nominal, problem, best, ranked, limits, tick=tick)

@@ -160,9 +160,10 @@ def _may_be_of_some_only(answer: Study) -> bool:
     if answer.decision.verdict != "differs":
         problem = answer.decision.final
         return not answer.reading.first_use and days_differ(problem, problem.residual, answer.limits.drift_p)
-    if chosen is None or any(h.key in chosen.courses or h.switches for h in chosen.hypotheses):
+    if chosen is None or any(h.switches for h in chosen.hypotheses):
         return True
-    return len(chosen.keys) > 1 and not answer.reading.first_use
+    # with calibrations among them, a course that was found is of all, each with its own
+    return (bool(chosen.courses) or len(chosen.keys) > 1) and not answer.reading.first_use
 
 
 def _holds_in_all(answer: Study) -> bool:

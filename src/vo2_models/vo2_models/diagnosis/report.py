@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 
 from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.adequacy import behind_the_loop
-from vo2_models.diagnosis.breakdown import locate
+from vo2_models.diagnosis.breakdown import Breakdown, breakdown, locate
 from vo2_models.diagnosis.check import limits_in_words
 from vo2_models.diagnosis.drift import Drift
-from vo2_models.diagnosis.evident import Evident, located_with
+from vo2_models.diagnosis.evident import QUIET, Evident, located_with
 from vo2_models.diagnosis.explain import Explanation, cost
 from vo2_models.diagnosis.families import family_of_unnamed
 from vo2_models.diagnosis.hypotheses import Hypothesis
 from vo2_models.diagnosis.limits import Limits
+from vo2_models.diagnosis.next_experiment import to_cover, without_explanation
+from vo2_models.diagnosis.nonparametric_correction import Shape
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.result import (
     Candidate,
@@ -29,6 +31,7 @@ from vo2_models.diagnosis.result import (
     Location,
     MovedConstant,
     NamedEffect,
+    NextExperiment,
     RecordingAnswer,
 )
 from vo2_models.diagnosis.stages import Study
@@ -43,7 +46,9 @@ __all__ = [
     "beside_the_first",
     "course_of",
     "equally_likely",
+    "excess_by_channel",
     "in_own_names",
+    "left_by_the_answer",
     "moved_in_place",
     "probabilities",
     "unlikely",
@@ -52,6 +57,8 @@ __all__ = [
 Floats = NDArray[np.float64]
 OTHERS = 4
 """Sets of constants, that which is told among them, up to which all are written out."""
+RARELY, TINY = 1e-3, float(np.finfo(np.float64).tiny)
+"""Odds below which no figure is told, and the least number that odds are told against."""
 EXACT = 1e-3
 """Standard deviation of a parameter that is read off the values, as a share of it: a generous rounding of what is written."""
 MODEL_DISCREPANCY = {
@@ -80,6 +87,9 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
     shown = [_shown(study, evident) for evident in study.shown]
     candidates = [*(_seen(study, evident) for evident in study.shown), *candidates]
     pairs = [list(pair) for pair in decision.rival_pairs]
+    if decision.equivalent and decision.chosen is not None:  # the members of the set and no others
+        own = decision.chosen.hypotheses[0].record.id
+        pairs = [[own, other] for other in effects[0].siblings if other != own]
     days = _days(study)
     found = Diagnosis(
         verdict=verdict,
@@ -89,7 +99,7 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
         candidates=candidates,
         fit=_fit(study),
         indistinguishable=pairs,
-        next_experiment=decision.proposal,
+        next_experiment=_next(study),
         summary=_by_day_in_words(study, days)
         + _device_in_words(study)
         + _shown_in_words(study, shown)
@@ -113,6 +123,52 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
         recordings=days,
     )
     return in_own_names(found, study)
+
+
+def _next(study: Study) -> NextExperiment | None:
+    """What to record next: what was decided, unless nothing describes what is left, or the recordings cover too little."""
+    decision = study.decision
+    if decision.unnamed is not None and decision.chosen is None and not _described(study):
+        return without_explanation((), decision.rivals[0].hypotheses if decision.rivals else ())
+    if decision.proposal is not None or decision.verdict == "differs" or not _covers_little(study):
+        return decision.proposal
+    part = study.located.problem.parts[0]
+    return to_cover(study.located.nominal.device, part.dt, f"The recordings cover {_extent(study)}")
+
+
+def _described(study: Study) -> tuple[Shape, ...]:
+    """The functions that describe what has no name; none where they predict less of it than counts."""
+    unnamed = study.decision.unnamed
+    return unnamed.shapes if unnamed is not None and unnamed.share >= study.limits.share else ()
+
+
+def _covered(study: Study) -> float:
+    """Share of the operating range that the drive went over, in any recording."""
+    low, high = sorted(study.located.problem.nominal.model.description.operating_range)
+    reached, total = low, 0.0
+    for first, last in sorted(
+        (part.current.min(), part.current.max()) for part in study.located.problem.parts
+    ):
+        total += max(min(last, high) - max(first, reached), 0.0)
+        reached = max(reached, last)
+    return float(total / (high - low))
+
+
+def _covers_little(study: Study) -> bool:
+    return study.reading.one_loop or _covered(study) < study.limits.narrow
+
+
+def _extent(study: Study) -> str:
+    """What the recordings cover, in words."""
+    loop = ", on one and the same loop" if study.reading.one_loop else ""
+    return f"{100 * _covered(study):.0f} % of the operating range{loop}"
+
+
+def _only_covered(study: Study) -> str:
+    """Say of what recordings agree with the simulation where they cover little of the device."""
+    if not _covers_little(study):
+        return ""
+    return f" in what the recordings cover, {_extent(study)} (what the rest would show is not known)"
 
 
 def in_own_names(found: Any, study: Study) -> Any:
@@ -306,23 +362,103 @@ def _excess(study: Study) -> dict[str, float]:
 def _fit(study: Study) -> dict[str, ChannelFit]:
     if study.decision.judged is None:
         return {}
-    span = study.located.nominal.span
-    after = dict(study.decision.judged.after)
+    span, problem, judged = study.located.nominal.span, study.located.problem, study.decision.judged
+    before, after, floor = dict(judged.as_fitted), dict(judged.after), dict(judged.floor)
+    left = left_by_the_answer(study)
     if study.decision.unnamed is not None and study.decision.chosen is None:
-        problem = study.located.problem
-        left = problem.apply_inverse_covariance(problem.residual) - study.decision.unnamed.prediction
         for row in problem.rows:
             plain = problem.in_its_unit(row, left)
             use = problem.weight[row.where] > 0
             after[row.channel] = float(np.sqrt(np.mean(plain[use] ** 2)))
-    return {
-        c: ChannelFit(
-            study.decision.judged.as_fitted[c] / span[c],
-            after[c] / span[c],
-            study.decision.judged.floor[c] / span[c],
-        )
-        for c in study.decision.judged.as_fitted
-    }
+    for one in study.reading.evident:
+        c, share = one.signal, one.share
+        if "step" in one.values:
+            gain = _gain_of(study, one, left)
+            after[c] = float(np.sqrt(max(after[c] ** 2 - gain, 0.0)))
+            floor[c] = max(floor[c], _rounded(study, one, left)[1])
+        elif not _is_limit(one):  # it was taken out of what was judged
+            before[c] = float(np.sqrt(before[c] ** 2 + _gain_of(study, one, left)))
+        else:  # at a limit no sample was judged
+            before[c], after[c] = (
+                float(np.sqrt((1.0 - share) * elsewhere**2 + share * there**2))
+                for elsewhere, there in ((before[c], one.before), (after[c], one.after))
+            )
+    return {c: ChannelFit(before[c] / span[c], after[c] / span[c], floor[c] / span[c]) for c in before}
+
+
+def left_by_the_answer(study: Study) -> Floats:
+    """Return what the answer leaves of the recordings, (N,) whitened, the nuisance model taken out.
+
+    Parameters
+    ----------
+    study : of the recordings
+    """
+    decision, problem = study.decision, study.located.problem
+    if decision.chosen is not None:
+        return decision.final.apply_inverse_covariance(decision.final.residual - decision.chosen.deviation)
+    left = problem.apply_inverse_covariance(problem.residual)
+    return left - decision.unnamed.prediction if decision.unnamed is not None else left
+
+
+def _is_limit(one: Evident) -> bool:
+    """Whether values end somewhere, in the place of having steps or swinging."""
+    return "step" not in one.values and "line" not in one.record.hooks
+
+
+def _gain_of(study: Study, one: Evident, left: Floats) -> float:
+    """By how much the squared error of a channel is less with what its values show."""
+    gain = one.share * (one.before**2 - one.after**2)  # of a simulation that was not refitted
+    return max(gain, _rounded(study, one, left)[0] if "step" in one.values else 0.0)
+
+
+def _rounded(study: Study, one: Evident, left: Floats) -> tuple[float, float]:
+    """By how much the squared error of a channel is less once the simulation's values are rounded too, and its noise then.
+
+    Two values that differ by noise of standard deviation s are rounded apart by a step with the probability of s / step: the
+    noise of their difference is sqrt(step s sqrt(2 / pi)) where the steps are coarse, sqrt(s^2 + step^2 / 6) where they are fine.
+    """
+    problem, size = study.decision.final, one.values["step"]
+    gains, steps = [], []
+    for row, part, _ in problem.iterate():
+        use = problem.weight[row.where] > 0
+        if row.channel == one.signal and np.any(use):
+            seen, plain = part.observed[row.channel][use], problem.in_its_unit(row, left)[use]
+            simulated = seen - plain
+            if one.signal == RESISTANCE:
+                rounded = np.log10(np.maximum(size * np.round(10.0**simulated / size), 0.5 * size))
+                steps.append(size / (np.log(10.0) * 10.0**simulated))
+            else:
+                rounded = size * np.round(simulated / size)
+                steps.append(np.full(seen.size, size))
+            gains.append(plain**2 - (seen - rounded) ** 2)
+    if not gains:
+        return 0.0, 0.0
+    step, noise = np.concatenate(steps), study.located.nominal.noise[one.signal].level
+    level = np.minimum(step * noise * np.sqrt(2.0 / np.pi), noise**2 + step**2 / 6.0)
+    return float(np.mean(np.concatenate(gains))), float(np.sqrt(np.mean(level)))
+
+
+def excess_by_channel(study: Study) -> list[Breakdown]:
+    """Return how the excess of each channel that `location` names is spread; of what values show, what that changes.
+
+    Parameters
+    ----------
+    study : of the recordings
+    """
+    problem = study.located.problem
+    places = {place.signal for place in _location(study)}
+    found = [b for b in study.decision.breakdown if b.excess > 0 and b.channel in places]
+    noise = {c: noise.scaled(QUIET) for c, noise in problem.nominal.noise.items()}
+    quiet = replace(problem.nominal, noise=noise)  # on average over a noise a converter may do nothing
+    for one in study.reading.evident:
+        if one.signal not in {b.channel for b in found}:
+            plain, changed = (
+                [quiet.respond(p.current, p.dt, effects=given, settled=p.settled) for p in problem.parts]
+                for given in (None, one.effects)
+            )
+            spread = breakdown(problem, problem.stack(changed, plain), floor=0.0)
+            found += [b for b in spread if b.channel == one.signal and b.excess > 0]
+    return found
 
 
 def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
@@ -354,7 +490,8 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
             best.setdefault(key, explanation)
     size = {c: study.located.nominal.span[c] for c in study.located.excess}
     told = 0.0 if study.decision.chosen is None else _share(study, study.decision.chosen.gain)
-    found = []
+    found, together = [], set(study.decision.equivalent)
+    of_each = {id(e): float(w) for w, e in zip(weights, everyone, strict=True)}
     for key, probability in sorted(by_key.items(), key=lambda item: -item[1]):
         explanation = best[key]
         name, _, signal = key.partition(":")
@@ -374,7 +511,13 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
                 nrmse,
                 signal or None,
                 explained_share=gained,
-                why_not="" if own else _why_not(study, explanation),
+                why_not=f"one of the set that is the answer; explains {100 * gained:.0f} % of the excess"
+                if key in together
+                else ""
+                if own
+                else _why_not(
+                    study, explanation, of_each[id(explanation)] / max(of_each[id(everyone[0])], TINY)
+                ),
             )
         )
     left = float(np.clip(1.0 - told, 0.0, 1.0))
@@ -384,7 +527,7 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
         otherwise,
         {c: after.get(c, 0.0) / size[c] for c in study.located.excess},
         explained_share=left,
-        why_not=f"explains {100 * left:.0f} % of the excess, what the answer leaves"
+        why_not=f"something that is in no catalogue; the answer leaves {100 * left:.0f} % of the excess"
         if study.decision.chosen
         else "",
     )
@@ -539,15 +682,16 @@ def _share(study: Study, gain: float) -> float:
     return float(np.clip(gain / whole, 0.0, 1.0)) if whole > 0.0 else 0.0
 
 
-def _why_not(study: Study, explanation: Explanation) -> str:
+def _why_not(study: Study, explanation: Explanation, odds: float) -> str:
+    """Why a rival is not the answer; `odds` against what is named, as the probabilities have them."""
     gained = _share(study, explanation.gain)
     if study.decision.chosen is None:
         return f"explains {100 * gained:.0f} % of the excess, which is not enough to name it"
-    gap = explanation.chi_square - study.decision.chosen.chi_square
     if explanation.at_bound:
         return f"its fit ends at a physical bound ({', '.join(explanation.at_bound)})"
-    worse = np.sqrt(max(gap, 0.0))
-    return f"explains {100 * gained:.0f} % of the excess; worse than the answer by {worse:.0f} standard deviations"
+    likely = f"{odds:.2g} times" if odds > RARELY else f"less than {RARELY:g} times"
+    against = "the likeliest of the set" if study.decision.equivalent else "the answer"
+    return f"explains {100 * gained:.0f} % of the excess; {likely} as likely as {against}"
 
 
 def _location(study: Study) -> list[Location]:
@@ -592,16 +736,20 @@ def _seen(study: Study, evident: Evident) -> Candidate:
 
 def _shown_in_words(study: Study, shown: Sequence[NamedEffect]) -> str:
     """What the values show, a sentence for each effect, before what is said of everything else."""
-    words = ""
+    words, fit, left = "", _fit(study), left_by_the_answer(study)
     for evident, effect in zip(study.shown, shown, strict=True):
         told = ", ".join(f"{name} {p.value:.5g} {p.unit}" for name, p in effect.parameters.items())
         size = study.located.nominal.span[evident.signal]
+        before, after = evident.before / size, evident.after / size
+        if evident.signal in fit and not _is_limit(evident):  # as the table has it
+            after = fit[evident.signal].nrmse_after
+            before = float(np.hypot(after, np.sqrt(_gain_of(study, evident, left)) / size))
         words += (
             f"The values of {evident.signal} show "
             f"{effect.id} by themselves ({told}; {100 * evident.share:.3g} % of the samples): left out; without it the error "
-            f"there is {100 * evident.before / size:.3g} % of the range, with it {100 * evident.after / size:.3g} %. "
+            f"there is {100 * before:.3g} % of the range, with it {100 * after:.3g} %. "
         )
-    return words + ("Beside it: " if words else "")
+    return words + ("Beside it: " if words and study.decision.verdict != "agrees" else "")
 
 
 def _had_before(study: Study, hypothesis: Hypothesis) -> str:
@@ -670,7 +818,8 @@ def _one_of(study: Study, best: NamedEffect) -> NamedEffect:
     return NamedEffect(
         "unknown",
         1.0 - _something_else(study),
-        f"One of {', '.join(equivalent)}: these recordings fit each of them nearly equally well, and do not tell which it is. "
+        f"One of {', '.join(equivalent)}: these recordings do not tell which it is. The probability is that of all of them "
+        "together; that of something else, which is in no catalogue, stands among the candidates as unknown. "
         f"The corrected model carries {best.id}, which stands for all of them.",
         f"as of {best.id}: {best.equation}",
         {},
@@ -708,8 +857,10 @@ def _ids(keys: Sequence[str]) -> list[str]:
 
 
 def _form(study: Study, hypothesis: Hypothesis, chosen: Explanation, index: int) -> str:
-    """Which of its forms an effect has: what it depends on where it has a choice, and which terms are not zero."""
-    words = [hypothesis.record.id.replace("_", " ")]
+    """What an effect does, by the first sentence of its record, and which of its forms it has where it has a choice."""
+    words = [
+        hypothesis.record.statement.partition(". ")[0].rstrip(".") or hypothesis.record.id.replace("_", " ")
+    ]
     if hypothesis.key in chosen.courses:
         values, unit = course_of(study, chosen, index)
         low, high = min(each.min() for each in values), max(each.max() for each in values)
@@ -717,17 +868,15 @@ def _form(study: Study, hypothesis: Hypothesis, chosen: Explanation, index: int)
     for name, value in chosen.values[index].items():
         parameter = hypothesis.parameter(name)
         if name in hypothesis.choices:
-            words.append(f"{name} {value:g}")
+            words.append(f"{name} {value:g} ({parameter.description})")
         elif name in hypothesis.switches:
             words.append(f"{name} never" if abs(value) >= HUGE else f"{name} at {value:.4g} s")
-        elif value != float(parameter.default):  # type: ignore[arg-type]
-            words.append(f"with {name}")
-    return ", ".join(words)
+    return "; ".join(words)
 
 
 def _unknown(study: Study) -> NamedEffect:
     outside = study.decision.unnamed
-    shapes = outside.shapes if outside is not None else ()
+    shapes = _described(study)
     if shapes:
         words = "; ".join(
             f"{s.channel} depends on {s.words} ({100 * s.share:.0f} % of its excess)" for s in shapes[:4]
@@ -739,8 +888,9 @@ def _unknown(study: Study) -> NamedEffect:
         equation = " + ".join(f"f({s.group}) in {s.channel}" for s in shapes[:4])
     else:
         statement = (
-            "The residual exceeds the noise, but neither an effect of the catalogue nor a smooth function of "
-            "time, temperature, rate, current or memory describes it on blocks it was not fitted on."
+            "The residual exceeds the noise, but neither an effect of the catalogue explains it nor does a smooth function of "
+            f"time, temperature, rate, current or memory predict {100 * study.limits.share:.0f} % of it on blocks it was not "
+            "fitted on."
         )
         equation = "none found"
     named = sum(1.0 for _ in (study.decision.chosen.hypotheses if study.decision.chosen else ()))
@@ -752,7 +902,9 @@ def _unknown(study: Study) -> NamedEffect:
     family = (
         swings[0].record.family(swings[0].signal)
         if swings
-        else family_of_unnamed(study.located.problem, study.located.excess, shapes)
+        else family_of_unnamed(
+            study.located.problem, study.located.excess, outside.shapes if outside is not None else ()
+        )
     )
     form = shapes[0].words if shapes else "none found"
     return NamedEffect("unknown", float(probability), statement, equation, {}, family=family, form=form)
@@ -907,6 +1059,8 @@ def _why_enough(study: Study) -> str:
 def _floor(study: Study) -> str:
     """What the residual is measured by: noise alone, or with it what the fit missed of its own calibration."""
     nominal = study.located.nominal
+    if stepped := sorted({one.signal for one in study.shown if "step" in one.values}):
+        return f"the noise, of {' and '.join(stepped)} with the steps of its values,"
     for channel in study.located.excess:
         sensor = nominal.model.sensors.get(channel)
         noise = sensor.noise / (np.log(10.0) if channel == RESISTANCE else 1.0) if sensor else 0.0
@@ -952,15 +1106,17 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     decision, excess = study.decision, study.located.excess
     power = 100 * max(study.located.total_excess, 0.0)
     if decision.verdict == "agrees":
+        head = "With that simulation" if study.shown else "Simulation"
         return (
-            f"Simulation and recording agree{_of_what(study)}{_refitted(study)}: the residual exceeds {_floor(study)} "
-            f"by {power:.0f} % of its power, {_why_enough(study)}.{_missed_by_the_law(study)}{_taken_up(study)}"
+            f"{head} and recording agree{_of_what(study)}{_refitted(study)}{_only_covered(study)}: the residual exceeds "
+            f"{_floor(study)} by {power:.0f} % of its power, {_why_enough(study)}.{_missed_by_the_law(study)}{_taken_up(study)}"
         )
     moved = _moved_in_words(study, _moved(study))
     if decision.verdict == "drifted":
         return (
-            f"The same physics, constants have moved{_of_what(study)}: {moved}. With them simulation and recording agree: the "
-            f"residual exceeds {_floor(study)} by {power:.0f} % of its power, {_why_enough(study)}.{_or_effects(study)}"
+            f"The same physics, constants have moved{_of_what(study)}: {moved}. With them simulation and recording "
+            f"agree{_only_covered(study)}: the residual exceeds {_floor(study)} by {power:.0f} % of its power, "
+            f"{_why_enough(study)}.{_or_effects(study)}"
         )
     if decision.taken_up:
         far = max(decision.taken_up, key=lambda c: decision.taken_up[c])

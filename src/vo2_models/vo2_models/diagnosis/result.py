@@ -65,11 +65,11 @@ class NamedEffect:
     Attributes
     ----------
     id, signal : the effect, and on which channel where it sits on one
-    probability : 0 to 1
+    probability : 0 to 1; of a set that of all its members together, whereas the candidate "unknown" is in no catalogue
     statement, equation : in words and as the added term
     parameters : name -> estimate
     family : drive, heat, transition, film, structure, sensor:CHANNEL or clock:CHANNEL
-    form : which of the forms of its class it has
+    form : what it does, and which of the forms of its class it has
     siblings : ids that these recordings do not tell from it; the family is the answer then. Of "unknown": it is one of these
     """
 
@@ -111,7 +111,7 @@ class Candidate:
     held_out_nrmse : channel -> root mean square error over range on parts that were not fitted: measured for the answer;
         of a rival estimated from it, by how much more of the excess the rival leaves
     explained_share : share of the excess that it explains by itself, 0 to 1
-    why_not : why it is not the answer; empty for the answer
+    why_not : why it is not the answer; empty for the answer, but where that is a set of effects: that it is one of the set
     """
 
     id: str
@@ -133,7 +133,7 @@ class ChannelFit:
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """What to record next, and what it would separate."""
+    """What to record next, and what it would separate: "unknown" twice where it is to cover what no recording has."""
 
     why: str
     separates: list[str]

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ from vo2_models.hysteresis.preisach.smooth_fit import STRENGTHS, fit_smooth
 from vo2_models.hysteresis.preisach.sparse_fit import choose_sparse
 from vo2_models.validation import finite_array
 
-__all__ = ["FITTED", "LawFit", "excursions", "fit_law", "rank_laws"]
+__all__ = ["FITTED", "OF_PLAYS", "PLAYS", "LawFit", "excursions", "fit_law", "rank_laws"]
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
@@ -45,6 +46,7 @@ LEVELS = (16, 40)
 FINE_LEVEL, FINE_FROM = 60, 3000
 """A finer level, and the number of samples from which it is tried as well."""
 PLAYS = 12
+"""Plays of the laws that have them."""
 DOMAINS = 1000
 
 
@@ -222,9 +224,11 @@ def _filed(
     return fit
 
 
-def _plays(memoryless: str) -> Callable[[Floats, Floats, NDArray[np.int64], Booleans], tuple[Law, Floats]]:
+def _plays(
+    memoryless: str, plays: int = PLAYS
+) -> Callable[[Floats, Floats, NDArray[np.int64], Booleans], tuple[Law, Floats]]:
     def fit(u: Floats, y: Floats, label: NDArray[np.int64], measured: Booleans) -> tuple[Law, Floats]:
-        found = fit_play_model(u, y, plays=PLAYS, memoryless=memoryless, measured=measured)
+        found = fit_play_model(u, y, plays=plays, memoryless=memoryless, measured=measured)
         return found.model.bank(), found.model.initial_state(found.initial)
 
     return fit
@@ -358,11 +362,14 @@ def _scaled(law: Any, centre: float, half: float, amplitude: float, polynomial: 
     )
 
 
+OF_PLAYS: Mapping[
+    str, Callable[[int], Callable[[Floats, Floats, NDArray[np.int64], Booleans], tuple[Law, Floats]]]
+] = {"gpi": partial(_plays, "none"), "egpi": partial(_plays, "cubic")}
+"""Name -> fit, as in `FITTED`, of the law with a number of plays."""
 FITTED: Mapping[str, Callable[[Floats, Floats, NDArray[np.int64], Booleans], tuple[Law, Floats]]] = {
     "preisach": _preisach,
     "cs": _sparse,
-    "gpi": _plays("none"),
-    "egpi": _plays("cubic"),
+    **{name: fit(PLAYS) for name, fit in OF_PLAYS.items()},
     **{name: _projected(shape) for name, shape in _SHAPES.items()},
     **{name: _filed(law_of) for name, law_of in FITS.items()},
 }

@@ -14,7 +14,7 @@ from vo2_models.diagnosis.check import clock_faults
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nominal import judged
 from vo2_models.diagnosis.nuisance import coverage_of
-from vo2_models.identification.plausibility import impossible, unusual
+from vo2_models.identification.plausibility import impossible, unexcited, unusual
 from vo2_models.recording import (
     COMMANDED_CURRENT,
     HEATER_CURRENT,
@@ -115,6 +115,9 @@ def check_calibration(
         notes += [f"{name}: {text}" for text in (*_missing(recording, empty, nominal), *gaps)]
         kept = {channel: values for channel, values in recording.channels.items() if channel not in empty}
         checked.append(replace(recording, channels=kept))
+    drives = [r[c] for r in recordings for c in (COMMANDED_CURRENT, HEATER_CURRENT) if c in r]
+    if drives and (told := unexcited(np.concatenate(drives), device)):
+        raise ValueError(f"{all_of_them}: {told}")
     if total < _MANY:
         notes.append(f"{all_of_them}: {total} samples are few: what lies between them is a smooth guess")
     for channel, value in still.items():

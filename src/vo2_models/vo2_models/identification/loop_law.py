@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo2_models.hysteresis.law import Law
-from vo2_models.hysteresis.law_fit import FITTED
+from vo2_models.hysteresis.law_fit import FITTED, OF_PLAYS
+from vo2_models.hysteresis.law_fit import PLAYS as COUNT
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.hysteresis.preisach.sparse_fit import choose_sparse
 from vo2_models.identification.bank_fit import BankShape, fit_bank
@@ -95,7 +96,9 @@ def folds_of_recordings(drives: Sequence[Floats], fold: NDArray[np.int64]) -> ND
     return whole if (whole >= 0).any() else fold
 
 
-def fit_loop_law(name: str, path: Floats, values: Floats, fold: NDArray[np.int64]) -> LoopLaw:
+def fit_loop_law(
+    name: str, path: Floats, values: Floats, fold: NDArray[np.int64], plays: int = COUNT
+) -> LoopLaw:
     """Fit one law of `FITTED`; its misfit is that of fits without each part.
 
     Parameters
@@ -104,6 +107,7 @@ def fit_loop_law(name: str, path: Floats, values: Floats, fold: NDArray[np.int64
     path : (n,) loop coordinate, from lower saturation on
     values : (n,) measured, NaN where missing
     fold : (n,) part that each sample is held out with, -1 for none
+    plays : of a law of `OF_PLAYS`
 
     Returns
     -------
@@ -127,9 +131,10 @@ def fit_loop_law(name: str, path: Floats, values: Floats, fold: NDArray[np.int64
         words = f"Preisach law of {sparse.operator.level} levels, sparse in basis {sparse.basis} (held out: {told})"
         left = np.where(good, values - sparse.operator.run(inside), np.nan)
         return LoopLaw(sparse.operator, sparse.error, left, words)
+    fit = OF_PLAYS[name](plays) if name in OF_PLAYS else FITTED[name]
 
     def residual(measured: NDArray[np.bool_]) -> tuple[Law, Floats]:
-        law, _ = FITTED[name](inside, filled, fold, measured)
+        law, _ = fit(inside, filled, fold, measured)
         return law, np.where(good, values - law.run(inside), np.nan)
 
     held_out = held_out_residual(lambda measured: residual(measured)[1], good, fold)
@@ -161,7 +166,7 @@ def root_mean_square(values: Floats) -> float:
     return float(np.sqrt(np.mean(there**2))) if there.size else float("nan")
 
 
-def with_law(result: FitResult, name: str) -> FitResult:
+def with_law(result: FitResult, name: str, plays: int = COUNT) -> FitResult:
     """Return a fit in which the laws of the loops are others, over the same temperatures.
 
     Lags, temperature scale and noise stay those that were found with plays. For `AUTO`, plays stay where no other law
@@ -171,6 +176,7 @@ def with_law(result: FitResult, name: str) -> FitResult:
     ----------
     result : with banks of plays
     name : of `FITTED`, or `AUTO`
+    plays : of a law of `OF_PLAYS`
 
     Raises
     ------
@@ -189,7 +195,7 @@ def with_law(result: FitResult, name: str) -> FitResult:
         fold = fold_of(np.isfinite(values))
         names = tuple(FITTED) if name == AUTO else (name,)
         found = min(
-            (fit_loop_law(one, result.path, values, fold) for one in names), key=lambda one: one.misfit
+            (fit_loop_law(one, result.path, values, fold, plays) for one in names), key=lambda one: one.misfit
         )
         if name == AUTO:
             own = _plays_again(law, result.path, values, fold)

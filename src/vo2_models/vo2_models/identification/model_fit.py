@@ -75,7 +75,7 @@ def fit_model(
     ----------
     recordings : calibration recordings of one device
     device : as `preset` takes it: a shipped device, or the path of a device file
-    plays : plays of each channel's loop
+    plays : of each channel's loop, and of law gpi or egpi; a device without body takes it for these two alone
     progress : called with what is being done and the share done, 0 to 1
     names : of the recordings, for the messages
     law : of `loop_law.LAW_CHOICES`; by default plays, and on a device without body plays or Preisach by held-out error
@@ -95,18 +95,20 @@ def fit_model(
     # the matrices are small: threads inside BLAS would only wait for each other where the processors are busy
     with threadpool_limits(1, user_api="blas"), _own_names(described):
         delay = command_delay(recordings)
-        recordings, notes = check_calibration(
-            [aligned(r, delay) for r in recordings], device, names=names, gap_limit=gap_limit
-        )
+        given = [aligned(r, delay) for r in recordings]
+        recordings, notes = check_calibration(given, device, names=names, gap_limit=gap_limit)
+        _refuse_still(given, recordings, described, names[0] if len(names) == 1 else "recordings")
         description = completed(described, recordings)
         if description.has_body:
-            result = fit_device(recordings, description.key, plays=plays, progress=progress)
+            # another law has its own plays: what it stands on does not go by their number
+            first = plays if law in _PLAYS_STAY else PLAYS
+            result = fit_device(recordings, description.key, plays=first, progress=progress)
             known, told = _better_known(recordings, result)
             if told:
                 recordings, notes = known, notes + told
-                result = fit_device(recordings, description.key, plays=plays, progress=progress)
+                result = fit_device(recordings, description.key, plays=first, progress=progress)
         else:
-            result = fit_rig(recordings, description, law=law, progress=progress)
+            result = fit_rig(recordings, description, law=law, plays=plays, progress=progress)
         if delay:
             notes.append(
                 f"commands act {delay:.4g} s after where they stand in the recording, which the model allows for"
@@ -117,7 +119,7 @@ def fit_model(
             result = _with_misfit(result)
         of_plays = result.model.to_parameters()
         if description.has_body and law not in ("", PLAYS_LAW):
-            result = with_law(result, law)
+            result = with_law(result, law, plays)
         notes += [*result.notes, *bare_stretches(result), *judge_fit(result, recordings)]
         result = replace(result, notes=tuple(notes))
         parameters = result.model.to_parameters()
@@ -132,6 +134,29 @@ def fit_model(
         if not description.has_body:
             parameters |= _rig_digest(result, recordings[0])
         return result, parameters
+
+
+def _refuse_still(
+    given: Sequence[Recording], checked: Sequence[Recording], device: DeviceDescription, where: str
+) -> None:
+    """Refuse recordings without a response that moves, with what those say that `check_calibration` left out."""
+    roles = [response.role for response in device.responses]
+    if any(role in recording for recording in checked for role in roles):
+        return
+    found = []
+    for role in roles:
+        values = np.concatenate([[], *(recording[role] for recording in given if role in recording)])
+        values = values[np.isfinite(values)]
+        if values.size and np.ptp(values) == 0.0:
+            unit = device.units[role]
+            found.append(
+                f"{device.names[role]} stands still at {values[0]:.6g}{'' if unit == '1' else f' {unit}'}"
+            )
+    if found:
+        raise ValueError(
+            f"{where}: {' and '.join(found)} in every sample, need a response that moves with {device.drive_channel}; check "
+            "that it is the right column, its lead and converter, and that its range and unit do not round it to one value"
+        )
 
 
 def _with_misfit(result: FitResult) -> FitResult:

@@ -14,6 +14,7 @@ from vo2_models.device.model import DeviceModel, SensorModel
 from vo2_models.diagnosis.noise import LONGEST
 from vo2_models.hysteresis.law import Law
 from vo2_models.hysteresis.law_fit import FITTED
+from vo2_models.hysteresis.law_fit import PLAYS as COUNT
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.bank_fit import BankFit, Late, evaluate, fit_bank
 from vo2_models.identification.bank_uncertainty import bank_uncertainty
@@ -78,6 +79,7 @@ def fit_rig(
     device: DeviceDescription,
     *,
     law: str = "",
+    plays: int = COUNT,
     progress: Callable[[str, float], None] | None = None,
 ) -> FitResult:
     """Fit the loops of a device without body, and how they follow the drive.
@@ -91,6 +93,7 @@ def fit_rig(
     recordings : in roles
     device : completed by what the recordings tell
     law : of `loop_law.LAW_CHOICES`; by default plays or Preisach, whichever predicts held-out parts better
+    plays : of law gpi or egpi; elsewhere held-out parts choose their number
     progress : called with what is being done and the share done, 0 to 1
 
     Returns
@@ -142,7 +145,7 @@ def fit_rig(
     for k, role in enumerate(roles):
         say(f"loop of {device.names[role]}", 0.6 + 0.2 * k / len(roles))
         late = _late(grids, device, heat.dynamics, role)
-        fits[role] = _loop(path, values[role], heat.dynamics.degree, folds[role], law, late)
+        fits[role] = _loop(path, values[role], heat.dynamics.degree, folds[role], law, late, plays)
     if len(roles) == 1 and heat.kind == "drive" and not coverage.one_rate and law in _BOUNDED:
         role = roles[0]
         say("lags beside plays between ends", 0.8)
@@ -322,35 +325,46 @@ def _along(grids: Sequence[GriddedRecording], role: str) -> Floats:
 
 
 def _loop(
-    path: Floats, values: Floats, degree: int, fold: NDArray[np.int64], law: str, late: Late | None
+    path: Floats,
+    values: Floats,
+    degree: int,
+    fold: NDArray[np.int64],
+    law: str,
+    late: Late | None,
+    count: int,
 ) -> LoopLaw:
-    """Return the law that was asked for, or the one that predicts held-out parts best."""
+    """Return the law that was asked for, with so many plays if it has them, or the one that predicts held-out parts best."""
     if law and law not in (PLAYS, AUTO):
-        start = _plays(path, values, degree, fold, late) if late else None
-        return (
-            _before(late, start, law, path, values, fold) if start else fit_loop_law(law, path, values, fold)
-        )
+        if late is None:
+            return fit_loop_law(law, path, values, fold, count)
+        return _before(late, _plays(path, values, degree, fold, late), law, path, values, fold, count)
     plays = _plays(path, values, degree, fold, late)
     alone = late is not None and not late.whole
     names = () if law == PLAYS or alone else tuple(FITTED) if law == AUTO else ("preisach", "bounded_plays")
-    others = [_before(late, plays, name, path, values, fold) for name in names]
+    others = [_before(late, plays, name, path, values, fold, count) for name in names]
     return better_of(plays, others)
 
 
 def _before(
-    late: Late | None, known: LoopLaw, name: str, path: Floats, values: Floats, fold: NDArray[np.int64]
+    late: Late | None,
+    known: LoopLaw,
+    name: str,
+    path: Floats,
+    values: Floats,
+    fold: NDArray[np.int64],
+    count: int,
 ) -> LoopLaw:
     """A law of this name in front of what rings.
 
     What it is fitted to, D = y + (D - H D), takes what the mode H changes from a law D that is known already.
     """
     if late is None:
-        return fit_loop_law(name, path, values, fold)
+        return fit_loop_law(name, path, values, fold, count)
     fit = known
     for _ in range(_ROUNDS):
         before = fit.law.run(path, fit.law.initial_memory())
         after = late.through(before[:, None])[:, 0]
-        fit = fit_loop_law(name, path, values + before - after, fold)
+        fit = fit_loop_law(name, path, values + before - after, fold, count)
     before = fit.law.run(path, fit.law.initial_memory())
     return replace(fit, residual=values - late.through(before[:, None])[:, 0])
 

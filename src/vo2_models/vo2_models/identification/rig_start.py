@@ -108,7 +108,10 @@ def _is_unknown(path: Floats, values: Floats, before: NDArray[np.bool_]) -> bool
     """Whether plays that are fitted to the rest of a response, and begin at saturation, are far off until then."""
     if not np.isfinite(values[before]).any() or np.count_nonzero(np.isfinite(values[~before])) < _FEWEST:
         return False
-    dictionary = PlayDictionary.over(float(path.min()), float(path.max()), **_GRID)
+    inside = path[
+        path > path.min()
+    ]  # the saturation before each recording is far from where the plays are needed
+    dictionary = PlayDictionary.over(float(inside.min()), float(inside.max()), **_GRID)
     fit = fit_dictionary(dictionary, path, np.where(before, np.nan, values), degree=_DEGREE, signed=True)
     left = fit.residual(path, values)
     return root_mean_square(left[before]) > _FURTHER_OFF * root_mean_square(left[~before])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,8 @@ from vo2_models.identification.play_dictionary import nonnegative_weights
 __all__ = ["LEVELS", "PlainPrediction", "plain_preisach"]
 
 Floats = NDArray[np.float64]
-LEVELS = (10, 20, 30)
+LEVELS = (10, 20, 30, 40, 60, 80)
+"""Cells along an axis that are tried, from the first on until one predicts no better than the one before."""
 _LAGS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 _SAMPLES = 4000
 _RIDGE = 1e-9
@@ -42,8 +43,8 @@ def plain_preisach(
 ) -> PlainPrediction:
     """Fit the yardstick to the samples that are not held out and judge it on those that are.
 
-    Lag and sense are those that fit the calibration best at the lowest level; the level is the one that predicts best,
-    which favours the yardstick.
+    Lag and sense are those that fit the calibration best at the lowest level; the level is the one that predicts best of those
+    that are tried, which favours the yardstick.
 
     Parameters
     ----------
@@ -78,6 +79,10 @@ def plain_preisach(
 
     tried = [(lag, sense) for lag in _LAGS for sense in (1.0, -1.0)]
     lag, sense = min(tried, key=lambda one: error(predicted(one[0], one[1], LEVELS[0]), train))
-    errors = {level: error(predicted(lag, sense, level), test) for level in LEVELS}
-    level = min(errors, key=lambda one: errors[one])
-    return PlainPrediction(errors[level], level, lag * dt)
+    best = PlainPrediction(np.inf, LEVELS[0], lag * dt)
+    for level in LEVELS:
+        there = error(predicted(lag, sense, level), test)
+        if there >= best.error:
+            break
+        best = replace(best, error=there, level=level)
+    return best

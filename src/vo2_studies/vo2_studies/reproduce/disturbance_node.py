@@ -24,7 +24,12 @@ __all__ = ["DisturbanceNode", "main"]
 
 UNDISTURBED = "undisturbed"
 _RECORDS = (
-    Parameter("preset", "peltier", "", "Device: integrated, peltier, or the path of a device file."),
+    Parameter(
+        "preset",
+        "peltier",
+        "",
+        "Device: integrated, peltier, peltier_chapter8, or the path of a device file.",
+    ),
     Parameter("seed", 1, "1", "Seed of the noise.", 0, 2**31 - 1),
     Parameter("count", 8800, "1", "Samples of noise; none after them.", 100, 10_000_000),
 )

@@ -14,7 +14,7 @@ from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
 from vo2_studies.preisach.beam import curvature_from_deflection
 
-__all__ = ["COLD", "HOT", "cantilever", "excitation", "film", "fitted_resistance"]
+__all__ = ["COLD", "HOT", "SETTLE_S", "cantilever", "excitation", "film", "fitted_resistance"]
 
 Floats = NDArray[np.float64]
 

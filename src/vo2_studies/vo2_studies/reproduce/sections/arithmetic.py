@@ -10,6 +10,7 @@ import numpy as np
 from vo2_control.pid import PUBLISHED_PELTIER_PID
 from vo2_models.hysteresis.preisach.grid import cell_count
 
+from vo2_studies.published_models import OPERATING, printed_deflection
 from vo2_studies.reproduce.claims import Claim, Context, Section, at_most, within
 
 NUMBER, TITLE = "1", "Arithmetic of the text: figures derived from other printed figures"
@@ -84,6 +85,11 @@ def _evaluations(plays: int, groups: int) -> list[Derived]:
 def derived() -> list[Derived]:
     """All of them, in the order of the text."""
     cells = cell_count(30)
+    table_72 = printed_deflection()
+    memory = table_72.initial_memory()
+    sweep = np.r_[np.linspace(*OPERATING, 200), np.linspace(*OPERATING[::-1], 200)]
+    tip = np.array([table_72.step(float(current), memory) for current in sweep])
+    spans = f"Table 7.2 over 3.68 to 8.49 mA gives {tip.min():.1f} to {tip.max():.1f} um, 7.3.1 has [1.62, 58.65] um"
     return [
         Derived("1.1.2", "measurements", "Measurements that 200 levels need", 20100.0, float(cell_count(200)), "1", 0.0,
                 "L (L + 1) / 2"),
@@ -126,6 +132,8 @@ def derived() -> list[Derived]:
                 "0.031 and 0.012"),
         Derived("6.3.2", "largest_more", "Largest error of the GPI above that of the EGPI", 100.0, 100 * (0.082 / 0.041 - 1), "%",
                 0.01, "0.082 and 0.041"),
+        Derived("7.1.3", "range_low", "Lower end of the deflection", 48.13, tip.min(), "um", 0.02, "Table 7.2, from saturation"),
+        Derived("7.1.3", "range_high", "Upper end of the deflection", 72.15, tip.max(), "um", 0.02, "Table 7.2", spans),
         Derived("8.1.2", "sensitivity", "Sensitivity of the position sensor", 0.111, 7.8 / 70, "V/um", 0.01, "7.8 V and 70 um"),
         Derived("8.1.2", "resolution", "Resolution of the position sensor over its range", 1.4e-5, 0.2e-6 / 13.875e-3, "1", 0.04,
                 "0.2 um and 13.875 mm"),

@@ -27,6 +27,7 @@ from vo2_studies.reproduce.claims import (
     at_most,
     baseline,
     below,
+    within,
     within_or_below,
 )
 from vo2_studies.reproduce.figures import draw
@@ -97,6 +98,7 @@ class Device:
     """Errors of one device [um]: (experiment, scheme) -> mean absolute error; feedforward figures; traces.
 
     `loops` : the loop's own part, mean |reference - estimate|, which holds how far it hunts
+    `time_constant_s` : of the heated body, as identified
     `sized_um` : scheme -> mean and largest error on the random levels, models of the printed sizes
     `printed_um` : (experiment, scheme) -> mean tracking error under the printed gains
     """
@@ -109,12 +111,13 @@ class Device:
     traces: dict[tuple[str, str], Floats]
     sized_um: dict[str, tuple[float, float]]
     printed_um: dict[tuple[str, str], float]
+    time_constant_s: float
 
 
 def study(seed: int) -> Device:
     """Identify one device from its own noisy recording, tune the PI on its model, run everything."""
     device = truth("integrated", seed=seed)
-    _, parameters = identify(device, seed)
+    model, parameters = identify(device, seed)
     limits = CurrentLimits(*preset("integrated").current_range)
     gains = tuned_from_model(parameters, PERIOD_S).gains
     controller = pid_controller(gains, limits, PERIOD_S)
@@ -158,6 +161,7 @@ def study(seed: int) -> Device:
         traces,
         sized_um,
         printed_um,
+        float(model.scalars["thermal.time_constant"]),
     )
 
 
@@ -236,6 +240,9 @@ def run(context: Context) -> Section:
     largest, rms = np.array([device.open_loop for device in found]).T
     ratio = np.array([device.both / device.alone for device in found])
     claims += [
+        Claim("7.4.time_constant", "7.4", "Time constant of the heating", 1.8,
+              float(np.mean([1e3 * device.time_constant_s for device in found])), "ms", within(1.8, 0.1),
+              f"set by the device file; ours is what the identification finds of it; {basis}", given=True),
         Claim("7.4.feedforward_largest", "7.4", "Open-loop inverse compensation, largest error of range", None,
               float(largest.mean()), "%", at_most(4.1), f"slow sinusoid; 4.1 % in 5.4.2, of another device; {basis}"),
         Claim("7.4.feedforward_rms", "7.4", "Open-loop inverse compensation, root mean square of range", None,
