@@ -129,6 +129,13 @@ def test_level_and_colour_are_found(rho) -> None:
     assert sum(found.ar) == pytest.approx(rho, abs=0.04)
 
 
+def test_lost_samples_are_no_white_noise_on_what_is_slow() -> None:
+    random = np.random.default_rng(1)
+    x = lfilter([1.0], [1.0, -0.999], random.normal(0.0, 1.0, 6000))
+    found = fit_noise(x, random.uniform(size=x.size) > 0.05)
+    assert found.innovation == pytest.approx(1.0, rel=0.05)
+
+
 def test_level_is_seen_through_a_moving_signal() -> None:
     t = np.linspace(0, 10, 5000)
     x = 50 * np.sin(t) + 0.1 * np.random.default_rng(0).standard_normal(t.size)

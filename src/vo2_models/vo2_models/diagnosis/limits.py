@@ -530,6 +530,16 @@ class Limits:
         "times the least excess of a recording, at least `excess`, from which another's says that they differ: chosen, not "
         "derived",
     )
+    slow_misfit: float = _limit(
+        3.0,
+        "level of what the fit missed of a calibration over that of its innovations, from which at first use it is judged once "
+        "more as no noise: chosen, not derived; 7 to 18 where a room wandered by 1.5 K, the case looked at",
+    )
+    most_of_it: float = _limit(
+        0.5,
+        "held-out error with a name over that without, in a channel that it explains, up to which such a name counts: reasoned, "
+        "three quarters of the power",
+    )
     misfitted: float = _limit(
         1.5,
         "times a sensor's noise from which what is taken for noise holds misfit of the calibration too: chosen, not derived",

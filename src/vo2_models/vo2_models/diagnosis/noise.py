@@ -27,6 +27,8 @@ COMB, AGREE = 3.0, 0.5
 """Steps of a converter from which a sample stands alone, and share of that distance by which its neighbours may differ."""
 FEWEST = 50
 """Samples from which a noise has a colour."""
+MOSTLY_THERE = 0.8
+"""Share of the samples above which those that are missing are taken to lie on lines between the others."""
 ABOUT = 11
 """Samples, itself among them, from which is seen what is usual about one."""
 FEW_ABOUT, CLOSE = 7, 0.1
@@ -231,7 +233,10 @@ def fit_noise(
     spread = 1.4826 * float(np.median(np.abs(x[keep] - np.median(x[keep]))))
     if spread > 0:
         x = np.clip(x, -5 * spread, 5 * spread)
-    n = np.count_nonzero(keep)
+    n = int(np.count_nonzero(keep))
+    if n > MOSTLY_THERE * x.size:  # zeros between them would pass for white noise on what is slow
+        places = np.arange(x.size)
+        x, n = np.interp(places, places[keep], x[keep]), x.size
     covariance = np.array([np.dot(x[: x.size - k], x[k:]) / n for k in range(order + 1)])
     if covariance[0] <= 0:
         return NoiseModel(np.finfo(float).tiny)

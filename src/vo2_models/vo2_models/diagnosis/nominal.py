@@ -203,6 +203,17 @@ class Nominal:
         noise = {c: shape.scaled(two[c].misfit / shape.level) for c, shape in shapes.items()}
         return replace(self, noise={**self.noise, **noise}, uneven=True)
 
+    def with_slow_misfit_told(self, most: float) -> Nominal:
+        """The same with white noise of the size of its innovations where its level is more than `most` times theirs.
+
+        What is as slow as that is no sensor's noise: it is what the fit missed of the calibration.
+        """
+        noise = {
+            c: NoiseModel(one.innovation) if one.level > most * one.innovation else one
+            for c, one in self.noise.items()
+        }
+        return self if noise == dict(self.noise) else replace(self, noise=noise)
+
     @property
     def device(self) -> str:
         """Preset id."""
