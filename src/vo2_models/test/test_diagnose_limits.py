@@ -17,7 +17,7 @@ NUMERICS = {
     "locate": "SETTLED SETTLED_BESIDE SLOW STAYS",
     "moved_alone": "_ENOUGH",
     "next_experiment": "A_STEP",
-    "noise": "ABOUT AGREE ALONE CLOSE COMB FEWEST FEW_ABOUT RARE SELDOM",
+    "noise": "ABOUT AGREE ALONE CLOSE COMB FEWEST FEW_ABOUT MOSTLY_THERE RARE SELDOM",
     "nominal": "FAR NEAR REPEATS",
     "nuisance": "ENOUGH",
     "page": "SPANS WIDE",

@@ -1,7 +1,7 @@
 """Every limit of a decision in one record, each with where it comes from; `diagnosis.json` repeats them.
 
-A drop of chi-square is counted in units of the noise power of one sample. What depends on the number of samples, on
-the noise or on the device's own misfit is measured on the data instead and is no field here.
+A drop of chi-square is counted in units of the noise power of one sample. Noise and the device's own misfit are measured on the
+data and are no fields here. Limits of a drop (`gain`, `rival`, `apart`, `unseen`) do not grow with the number of samples.
 """
 
 from __future__ import annotations
