@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from concealed_devices import DEVICE, SEED, calibration, concealed, measured
 from vo2_identification.bags import write_bag
@@ -13,6 +14,7 @@ from vo2_models.diagnosis.corrected_model import distance
 from vo2_models.diagnosis.report import assemble_diagnosis
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.model_file import save_model_parameters
+from vo2_models.recording import Recording
 
 ALL_ALONG = {"creep": {"share": 0.06, "time_constant": 0.2}}
 
@@ -95,3 +97,18 @@ def test_a_laser_that_was_on_for_a_while_in_both_is_no_room_that_drifts() -> Non
     (effect,) = answer.effects
     assert effect.id == "laser_heating"
     assert effect.parameters["stop"].value == pytest.approx(2.0, abs=0.05)
+
+
+@pytest.mark.slow
+def test_a_room_that_wanders_in_every_recording_has_a_course_in_each() -> None:
+    def seen(seed: int, samples: int) -> Recording:
+        past = np.linspace(0.0, 1.0, samples)
+        return concealed(room=np.sin(2.0 * np.pi * (1.7 * past + 0.3 * seed)), seed=seed, samples=samples)
+
+    before = seen(5, 5000)
+    parameters = fit_model([before], DEVICE, plays=12, self_sensing=False)[1]
+    answer = study([seen(6, 2500), seen(7, 2500)], parameters, calibration=[before])
+    # left-out recordings would not tell their own course
+    assert answer.decision.chosen is not None
+    assert answer.decision.chosen.keys == ("ambient_drift",)
+    assert not answer.days

@@ -220,7 +220,10 @@ def _of_tables(models: Mapping[str, Sequence[Models]], basis: str) -> list[Claim
 def _printed_names(model: EGPI, rising: str) -> dict[str, float]:
     """Parameters of a fitted model by the names of Tables 6.1 and 6.2; `rising` is the letter of heating."""
     envelopes, part = model.envelopes, model.memoryless
-    assert isinstance(envelopes, TanhEnvelopes)
+    if not isinstance(envelopes, TanhEnvelopes):
+        raise TypeError(
+            f"envelopes: found {type(envelopes).__name__}, need TanhEnvelopes, whose parameters the tables have"
+        )
     falling = {"L": "R", "R": "L"}[rising]
     found = {
         f"a_{rising}": envelopes.rising_slope, f"b_{rising}": envelopes.rising_offset,
