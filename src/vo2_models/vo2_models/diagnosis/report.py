@@ -377,7 +377,7 @@ def _fit(study: Study) -> dict[str, ChannelFit]:
             after[c] = float(np.sqrt(max(after[c] ** 2 - gain, 0.0)))
             floor[c] = max(floor[c], _rounded(study, one, left)[1])
         elif not _is_limit(one):  # it was taken out of what was judged
-            before[c] = float(np.sqrt(before[c] ** 2 + _gain_of(study, one, left)))
+            before[c] = float(np.sqrt(max(before[c] ** 2 + _gain_of(study, one, left), 0.0)))
         else:  # at a limit no sample was judged
             before[c], after[c] = (
                 float(np.sqrt((1.0 - share) * elsewhere**2 + share * there**2))
@@ -743,7 +743,7 @@ def _shown_in_words(study: Study, shown: Sequence[NamedEffect]) -> str:
         before, after = evident.before / size, evident.after / size
         if evident.signal in fit and not _is_limit(evident):  # as the table has it
             after = fit[evident.signal].nrmse_after
-            before = float(np.hypot(after, np.sqrt(_gain_of(study, evident, left)) / size))
+            before = float(np.sqrt(max(after**2 + _gain_of(study, evident, left) / size**2, 0.0)))
         words += (
             f"The values of {evident.signal} show "
             f"{effect.id} by themselves ({told}; {100 * evident.share:.3g} % of the samples): left out; without it the error "
