@@ -109,6 +109,6 @@ def test_a_room_that_wanders_in_every_recording_has_a_course_in_each() -> None:
     parameters = fit_model([before], DEVICE, plays=12, self_sensing=False)[1]
     answer = study([seen(6, 2500), seen(7, 2500)], parameters, calibration=[before])
     # left-out recordings would not tell their own course
-    assert answer.decision.chosen is not None
-    assert answer.decision.chosen.keys == ("ambient_drift",)
+    (effect,) = assemble_diagnosis(answer).effects
+    assert effect.id == "unknown" and set(effect.siblings) == {"ambient_drift", "drive_gain_drift"}
     assert not answer.days
