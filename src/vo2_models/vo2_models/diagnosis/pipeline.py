@@ -154,7 +154,7 @@ def _decided(reading: Reading, located: Located, limits: Limits, clock: Clock) -
     found = search(located, limits, clock, one_loop=reading.one_loop, first_use=reading.first_use)
     decision = decide(located, found, reading, limits, clock)
     answer = Study(reading, located, found, decision, limits, 0.0)
-    decision = told_as(decision, _one_of(answer))
+    decision = told_as(decision, _told_as_one_of(answer))
     answer = replace(answer, decision=decision)
     while reading.first_use and decision.chosen is not None and distance(answer) > limits.farther:
         # the loops that were fitted along make up for it: no model that has it comes near the recordings
@@ -162,14 +162,14 @@ def _decided(reading: Reading, located: Located, limits: Limits, clock: Clock) -
         found = replace(found, options=options)
         decision = decide(located, found, reading, limits, clock)
         answer = replace(answer, search=found, decision=decision)
-        decision = told_as(decision, _one_of(answer))
+        decision = told_as(decision, _told_as_one_of(answer))
         answer = replace(answer, decision=decision)
     if unlikely(answer):
         answer = replace(answer, decision=without_a_name(decision, located, found, reading, limits, clock))
     return answer
 
 
-def _one_of(answer: Study) -> tuple[str, ...]:
+def _told_as_one_of(answer: Study) -> tuple[str, ...]:
     """Keys of the effects of which the answer is one; empty for it alone.
 
     Loops that are fitted along with it take up what tells a room that takes any course from a gain of the drive that does.
