@@ -378,6 +378,11 @@ def test_a_share_of_another_column_is_taken_off(tmp_path):
             "t,I,R,T\n0,0,1,5,10,2,300,1\n1,0,2,5,20,2,301,1\n",
             "row 2: found 8 cells under a header of 4: commas that separate and decimal ones",
         ),
+        (
+            ("", ""),
+            TABLE.replace("1,2,20,301", "1,2,5,20,301"),
+            "row 3: found 5 cells under a header of 4, as in 1 of 3 rows: a separator too many",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_one_line_with_its_place(tmp_path, capsys, change, table, named):

@@ -144,11 +144,27 @@ def read_table(path: Path, column_map: ColumnMap) -> Table:
             f"{name}: row {wide[0]}: found {len(rows[0][1])} cells under a header of {len(header)}: commas that separate and "
             'decimal ones? save the table with another separator, and set delimiter: ";" and decimal: "," in the map'
         )
+    _check_width(name, header, rows)
     # what was being written when the logger stopped: even its last cell may be half a number
     open_end = column_map.form != "xlsx" and not column_map.last_row and len(rows) > 1
     if open_end and len(rows[-1][1]) < min(len(row) for _, row in rows[:-1]):
         return Table(name, header, rows[:-1], rows[-1][0])
     return Table(name, header, rows)
+
+
+def _check_width(name: str, header: Sequence[str], rows: Sequence[tuple[int, Sequence[Any]]]) -> None:
+    """Refuse single rows with more than their header has: what stands behind a stray separator is another column's."""
+
+    def filled(row: Sequence[Any]) -> int:
+        return max((k for k, cell in enumerate(row, start=1) if cell not in (None, "")), default=0)
+
+    wider = [(number, filled(row)) for number, row in rows if filled(row) > len(header)]
+    if len(header) > 1 and wider and 2 * len(wider) < len(rows):
+        number, cells = wider[0]
+        raise MapError(
+            f"{name}: row {number}: found {cells} cells under a header of {len(header)}, as in {len(wider)} of {len(rows)} rows: "
+            "a separator too many, or two lines in one? mend the row, or give first_row and last_row in the map"
+        )
 
 
 def _text_rows(path: Path, column_map: ColumnMap) -> list[list[str]]:

@@ -277,7 +277,11 @@ def _unnamed(
     if unnamed is None or (described < limits.share and _is_small(located, verdict.judged, limits)):
         # more residual than noise at most, and nothing that predicts it: the fitted loops' own misfit
         unnamed, verdict_word = None, "agrees"
-        if drift.significant(limits.drift_p) and not reading.first_use and _shows(problem, verdict.judged):
+        if (
+            drift.significant(limits.drift_p)
+            and not reading.first_use
+            and _shows(problem, verdict.judged, limits)
+        ):
             verdict_word = "drifted"
             held = _with_constants_held(problem)
             scores = score(held, found.candidates, problem.residual, tick=clock.tick)
@@ -292,6 +296,7 @@ def _unnamed(
         taken_up = {c: ratio for c, ratio in far.items() if ratio > limits.as_it_is}
         verdict_word = "differs" if taken_up else verdict_word
     if verdict_word == "differs":
+        drift = _beside_what_is_left(drift, located)
         best = verdict.rivals[0].hypotheses if verdict.rivals else ()
         proposal = without_explanation(unnamed.shapes if unnamed else (), best)
     return Decision(
@@ -336,10 +341,24 @@ def _drift(
     return drift.widened(max(1.0, *(judged.after[c] / judged.floor[c] for c in judged.after)))
 
 
-def _shows(problem: LinearisedProblem, judged: HeldOut) -> bool:
-    """Whether what the nuisance model takes up is more than a law without body misses of its own calibration."""
-    return problem.nominal.model.description.has_body or any(
-        judged.before[c] ** 2 - judged.after[c] ** 2 > judged.floor[c] ** 2 for c in judged.after
+def _beside_what_is_left(drift: Drift, located: Located) -> Drift:
+    """The same move where a body's device shows more than it and noise: its standard deviations are those of what is left."""
+    if (
+        not located.nominal.model.description.has_body
+    ):  # they are wider by its error on held-out blocks already
+        return drift
+    return drift.widened(float(np.sqrt(1.0 + max(located.excess.values()))))
+
+
+def _shows(problem: LinearisedProblem, judged: HeldOut, limits: Limits) -> bool:
+    """Whether what constants take up is most of what is missed; without body, more than the law misses of its calibration."""
+    if problem.nominal.model.description.has_body:
+        return True
+    before, after, floor = (
+        {c: e[c] ** 2 for c in judged.after} for e in (judged.before, judged.after, judged.floor)
+    )
+    return any(
+        before[c] - after[c] > max(floor[c], limits.moved_share * (before[c] - floor[c])) for c in before
     )
 
 

@@ -21,6 +21,7 @@ from vo2_models.diagnosis.families import family_of_unnamed
 from vo2_models.diagnosis.hypotheses import Hypothesis
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.next_experiment import to_cover, without_explanation
+from vo2_models.diagnosis.nominal import loop_ends
 from vo2_models.diagnosis.nonparametric_correction import Shape
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.result import (
@@ -59,6 +60,7 @@ OTHERS = 4
 """Sets of constants, that which is told among them, up to which all are written out."""
 RARELY, TINY = 1e-3, float(np.finfo(np.float64).tiny)
 """Odds below which no figure is told, and the least number that odds are told against."""
+RESPONSE_GAINS = frozenset({"deflection.gain", "resistance.gain"})
 EXACT = 1e-3
 """Standard deviation of a parameter that is read off the values, as a share of it: a generous rounding of what is written."""
 MODEL_DISCREPANCY = {
@@ -645,13 +647,16 @@ def _holds(study: Study, explanation: Explanation, change: Floats) -> bool:
 def _something_else(study: Study) -> float:
     """Return the probability that nothing of the catalogue is the answer.
 
-    A logistic function of how surely the best explanation acts and of what it leaves; at least one half where it is not named.
+    A logistic function of how surely the best explanation acts and of what it leaves, and no less than answers of that kind have
+    been wrong; at least one half where it is not named.
     Where there is none it is one, less half of what the best single effect explains.
     """
     adequacy = study.decision.adequacy
     if adequacy is None:
         return 1.0 - 0.5 * _best_share(study)
     otherwise = adequacy.something_else(study.limits)
+    if np.isfinite(adequacy.sigmas):
+        otherwise = max(otherwise, study.limits.else_least)
     held = study.decision.held
     if held is not None:  # or constants have moved after all
         temper = study.limits.temper * (1.0 + max(study.decision.remaining_excess, 0.0))
@@ -1098,7 +1103,36 @@ def _swings(study: Study) -> list[str]:
 
 def _device_in_words(study: Study) -> str:
     """What says that a recording is of another device, or is not judged in large part, before all else."""
-    return "".join(f"{f.text}. " for f in study.reading.findings if f.kind in ("device", "unjudged"))
+    told = [f.text for f in study.reading.findings if f.kind in ("device", "unjudged")]
+    return "".join(f"{text}. " for text in told) + _other_device(study)
+
+
+def _other_device(study: Study) -> str:
+    """The question of many constants that are far off at once; empty for few, or where a refit is what is looked at."""
+    if study.reading.first_use:
+        return ""
+    model = study.located.problem.nominal.model
+    warm = float(np.mean(loop_ends(model))) - model.scalars["thermal.ambient"]
+    far: dict[str, None] = {}
+    for m in _moved(study):
+        scale = warm if m.constant == "thermal.ambient" else m.was
+        if not m.constant.endswith("zero") and scale and abs((m.now - m.was) / scale) > study.limits.far_move:
+            far[m.constant] = None
+    most = study.limits.other_device - (study.decision.chosen is None and study.decision.verdict == "differs")
+    if len(far) < most or not RESPONSE_GAINS.intersection(far):
+        return ""
+    return (
+        f"{len(far)} constants are more than {100 * study.limits.far_move:g} % off at once ({', '.join(far)}): is it a recording "
+        "of another device? "
+    )
+
+
+def _or_other_device(study: Study, share: float) -> str:
+    """What else a large excess may be that functions of what a device goes through describe badly."""
+    limits = study.limits
+    if study.reading.first_use or study.located.total_excess < limits.other_loops or share > limits.described:
+        return ""
+    return ", so little for so much that it may be another device"
 
 
 def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -> str:
@@ -1168,11 +1202,11 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
             return (
                 f"{head} Nothing known explains it, and no smooth function of time, temperature, rate, current or memory "
                 f"predicts {100 * study.limits.share:.0f} % of it on blocks that it was not fitted on: loops the law misses, "
-                f"what is not in these recordings, or noise of the rig.{tail}"
+                f"what is not in these recordings, another device, or noise of the rig.{tail}"
             )
         return (
             f"{head} Nothing known explains it; it acts in the family {family}. A correction without a name "
-            f"removes {100 * share:.0f} % of the excess.{tail}"
+            f"removes {100 * share:.0f} % of the excess{_or_other_device(study, share)}.{tail}"
         )
     whole = _judged_against(study)
     before = max(whole.residual_chi_square / whole.count - 1.0, 1e-9)
