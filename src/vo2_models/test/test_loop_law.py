@@ -5,7 +5,12 @@ import pytest
 from vo2_models.device import DeviceModel
 from vo2_models.device.ground_truth import truth
 from vo2_models.hysteresis.limiting_loop import LimitingLoop
-from vo2_models.identification.loop_law import fit_loop_law, folds_of_recordings
+from vo2_models.identification.excitation import (
+    damped_oscillation,
+    first_order_reversal_fan,
+    random_levels,
+)
+from vo2_models.identification.loop_law import curves_of_fan, fit_loop_law, folds_of_recordings
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.identification.play_dictionary import fold_of
 from vo2_models.identification.preisach_choice import adapted_walls, choose_preisach
@@ -40,6 +45,32 @@ def test_what_lies_between_recordings_is_asked_of_whole_recordings():
         "the largest would be an extrapolation"
     )
     assert folds_of_recordings(drives[:2], blocks[:8]).tolist() == blocks[:8].tolist()
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_of_a_fan_of_reversal_curves_each_is_held_out_with_others_far_from_it(sign):
+    fan = sign * np.repeat(first_order_reversal_fan(np.linspace(0.0, 1.0, 31)), 2)
+    with_value = np.r_[False, np.ones(fan.size, bool)]
+    fold = folds_of_recordings([fan], fold_of(with_value))
+    curve = curves_of_fan(fan)
+    assert curve.max() == 30 and np.all(fold[0] == -1)
+    for number in range(1, 30):
+        own, following = (np.unique(fold[1:][curve == k]) for k in (number, number + 1))
+        assert own.size == 1 and own != following, "neighbours are held out apart"
+
+
+@pytest.mark.parametrize(
+    "drive",
+    [
+        damped_oscillation(np.linspace(0.0, 1.0, 31)),
+        np.tile([0.0, 1.0], 30),
+        random_levels(0.0, 1.0, 60, seed=1),
+        np.full(9, 0.3),
+    ],
+)
+def test_what_is_no_fan_is_held_out_by_blocks_of_time(drive):
+    blocks = fold_of(np.r_[False, np.ones(drive.size, bool)])
+    np.testing.assert_array_equal(folds_of_recordings([drive], blocks), blocks)
 
 
 def test_a_law_that_does_not_exist_is_told():

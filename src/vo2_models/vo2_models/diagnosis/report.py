@@ -263,12 +263,20 @@ def _moved_in_words(study: Study, moved: Sequence[MovedConstant]) -> str:
 
 
 def _as_drive(study: Study, moved: MovedConstant) -> str:
-    """What a move of the ambient is on a device without body, whose temperature is a scale of the drive only."""
+    """What a move is on a device without body, whose temperature is but a scale of its drive."""
     model = study.located.problem.nominal.model
     gain, square = (model.scalars[f"thermal.{name}_gain"] for name in ("linear", "square"))
-    if moved.constant != "thermal.ambient" or model.description.has_body or square or not gain:
+    if model.description.has_body or square or not gain:
         return ""
-    return f" (as if the drive were {(moved.now - moved.was) / gain:+.3g} {model.description.drive_unit} off)"
+    if moved.constant == "thermal.ambient":
+        return f" (as if the drive were {(moved.now - moved.was) / gain:+.3g} {model.description.drive_unit} off)"
+    of = {
+        "thermal.linear_gain": "the drive",
+        "deflection.gain": TIP_DEFLECTION,
+        "resistance.gain": RESISTANCE,
+    }
+    what = of.get(moved.constant)
+    return f" ({what} is {moved.now / moved.was:.4g} times what it was)" if what and moved.was else ""
 
 
 def _or_effects(study: Study) -> str:

@@ -33,7 +33,8 @@ EFFECT = Effect(
     ),
     statement=(
         "Residual stress, a clamp that rolls off or a large deflection make the cantilever stiffer as it bends: the same "
-        "moment bends it less where it is bent already. Nothing is late, and the two branches change alike at a deflection."
+        "moment bends it less where it is bent already. Nothing is late, and the two branches change alike at a deflection. A "
+        "sensor whose gain falls with its reading gives the same values: check it against one that is known to be linear."
     ),
 )
 

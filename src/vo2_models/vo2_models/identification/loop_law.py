@@ -17,7 +17,7 @@ from vo2_models.hysteresis.preisach.sparse_fit import choose_sparse
 from vo2_models.identification.bank_fit import BankShape, fit_bank
 from vo2_models.identification.device_fit import FitResult
 from vo2_models.identification.loops_fit import SECTIONS
-from vo2_models.identification.play_dictionary import fold_of
+from vo2_models.identification.play_dictionary import FOLDS, fold_of
 from vo2_models.identification.preisach_choice import choose_preisach
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "PLAYS",
     "LoopLaw",
     "better_of",
+    "curves_of_fan",
     "fit_loop_law",
     "folds_of_recordings",
     "held_out_residual",
@@ -41,6 +42,8 @@ LAW_CHOICES = (PLAYS, *FITTED, AUTO)
 FEWEST_RECORDINGS = 3
 """Recordings from which whole ones are held out instead of blocks of time."""
 _STEPS = 40
+_AT_END = 0.05
+"""Share of the range that counts as its end, from which the curves of a fan begin."""
 MARGIN = 0.97
 """Share of the held-out error of what is simpler, below which something less simple is taken."""
 
@@ -68,10 +71,11 @@ class LoopLaw:
 
 
 def folds_of_recordings(drives: Sequence[Floats], fold: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the parts to hold out: whole recordings, where there are at least three, else blocks of time.
+    """Return the parts to hold out: whole recordings, where there are at least three, else blocks of time, of a fan its curves.
 
     With recordings of different amplitude the question is what lies between them, which blocks of time do not ask. A
-    recording that reaches beyond all others is never held out: that would be an extrapolation.
+    recording that reaches beyond all others is never held out: that would be an extrapolation. So is a block of neighbouring
+    reversal curves: of these each is held out with others that are far from it.
 
     Parameters
     ----------
@@ -83,7 +87,7 @@ def folds_of_recordings(drives: Sequence[Floats], fold: NDArray[np.int64]) -> ND
     (n,) part of each sample, -1 for those that are always given
     """
     if len(drives) < FEWEST_RECORDINGS:
-        return fold
+        return _curves_in_turn(drives, fold)
     whole = np.full(fold.size, -1, dtype=np.int64)
     ends, count = np.cumsum([0, *(drive.size + 1 for drive in drives)]), 0
     for k, drive in enumerate(drives):
@@ -94,6 +98,43 @@ def folds_of_recordings(drives: Sequence[Floats], fold: NDArray[np.int64]) -> ND
             count += 1
     whole[fold < 0] = -1
     return whole if (whole >= 0).any() else fold
+
+
+def _curves_in_turn(drives: Sequence[Floats], fold: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The same parts (n,), where a recording is a fan of reversal curves by the curve."""
+    parts, begin = fold.copy(), 0
+    for drive in drives:
+        where = slice(begin + 1, begin + 1 + drive.size)  # one sample before each recording
+        begin = where.stop
+        curve, good = curves_of_fan(drive), fold[where] >= 0
+        _, number = np.unique(curve[good], return_inverse=True)
+        if number.max(initial=0) >= 2 * FOLDS:
+            parts[where][good] = number % FOLDS
+    return parts
+
+
+def curves_of_fan(drive: Floats) -> NDArray[np.int64]:
+    """Return the number of the reversal curve of each sample of a drive (n,); zeros where it is no fan of such curves.
+
+    A fan begins each curve at one end of the range, and reverses further or less far from it than the curve before.
+
+    Parameters
+    ----------
+    drive : in any unit
+    """
+    span = float(np.ptp(drive))
+    for rising in (drive, -drive):
+        at_end = rising > rising.max() - _AT_END * span
+        curve = np.cumsum(at_end & ~np.concatenate([[False], at_end[:-1]]))
+        turns = np.array([rising[curve == k].min() for k in range(1, int(curve.max(initial=0)) + 1)])[1:-1]
+        steps = np.diff(turns)
+        if (
+            turns.size > 2 * FOLDS
+            and np.ptp(turns) > _AT_END * span
+            and (np.all(steps < 0) or np.all(steps > 0))
+        ):
+            return curve
+    return np.zeros(drive.size, dtype=np.int64)
 
 
 def fit_loop_law(
