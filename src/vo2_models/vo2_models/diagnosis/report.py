@@ -1140,7 +1140,7 @@ def _or_other_device(study: Study, share: float) -> str:
     limits = study.limits
     if study.reading.first_use or study.located.total_excess < limits.other_loops or share > limits.described:
         return ""
-    return ", so little for so much that it may be another device"
+    return ", as little as it would of another device"
 
 
 def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -> str:
