@@ -109,6 +109,9 @@ def test_a_room_that_wanders_in_every_recording_has_a_course_in_each() -> None:
     parameters = fit_model([before], DEVICE, plays=12, self_sensing=False)[1]
     answer = study([seen(6, 2500), seen(7, 2500)], parameters, calibration=[before])
     # left-out recordings would not tell their own course
-    (effect,) = assemble_diagnosis(answer).effects
+    found = assemble_diagnosis(answer)
+    (effect,) = found.effects
     assert effect.id == "unknown" and set(effect.siblings) == {"ambient_drift", "drive_gain_drift"}
+    worth = [c.probability for c in found.candidates if c.id in effect.siblings]
+    assert len(set(worth)) == 1, "they are not compared"
     assert not answer.days

@@ -25,11 +25,13 @@ from vo2_models.hysteresis.laws import scaled_law
 from vo2_models.identification.bank_fit import BankShape, evaluate, fit_bank
 from vo2_models.identification.loops_fit import COLD
 from vo2_models.parameters import Value
-from vo2_models.recording import RESISTANCE
+from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
 
 __all__ = ["CorrectedModel", "StandIn", "corrected_model", "distance", "stand_in"]
 
 Floats = NDArray[np.float64]
+_NEAR_THE_END, _FROM_REST = 0.05, 200
+"""Share of the judged temperatures that counts as their end, and samples of the way from rest to them."""
 PROMISING = 3
 """Single effects that are tried as a description."""
 
@@ -182,6 +184,26 @@ def _nearest(study: Study, candidates: Iterable[_Written]) -> tuple[_Written, di
 
 def _judged(study: Study, written: _Written) -> tuple[float, dict[str, float]]:
     """Squared residual of the recordings over their noise, and of each channel the root mean square over its range."""
+    nominal = study.located.nominal
+    left = {c: np.concatenate(parts) for c, parts in _residual(study, written).items()}
+    total = sum(float(gap @ gap) / nominal.noise[c].level ** 2 for c, gap in left.items())
+    return total, {
+        c: float(np.sqrt(np.mean(gap**2))) / nominal.span[c] for c, gap in left.items() if gap.size
+    }
+
+
+def _off(study: Study, written: _Written) -> dict[str, float]:
+    """Return by how much what is measured lies above a model in the middle, by section of the law, in the law's unit."""
+    signs = {RESISTANCE: ("resistance", -1.0), TIP_DEFLECTION: ("deflection", 1.0)}
+    return {
+        signs[c][0]: signs[c][1] * float(np.median(np.concatenate(parts)))
+        for c, parts in _residual(study, written).items()
+        if c in signs
+    }
+
+
+def _residual(study: Study, written: _Written) -> dict[str, list[Floats]]:
+    """Measured minus simulated values of each channel, recording by recording, where there are some."""
     problem = study.located.problem
     nominal = Nominal.from_parameters(written.parameters)
     # periodic interference was taken out of what is compared
@@ -198,17 +220,13 @@ def _judged(study: Study, written: _Written) -> tuple[float, dict[str, float]]:
         )
         for place, part in enumerate(problem.parts)
     ]
-    total, squares, counts = 0.0, dict[str, float](), dict[str, int]()
+    left: dict[str, list[Floats]] = {}
     for row in problem.rows:
         part = problem.parts[row.part]
         valid = part.valid[row.channel]
-        left = (part.observed[row.channel] - responses[row.part].channels[row.channel])[valid]
-        square = float(left @ left)
-        total += square / study.located.nominal.noise[row.channel].level ** 2
-        squares[row.channel] = squares.get(row.channel, 0.0) + square
-        counts[row.channel] = counts.get(row.channel, 0) + left.size
-    errors = {c: np.sqrt(squares[c] / counts[c]) / nominal.span[c] for c in squares if counts[c]}
-    return total, errors
+        gap = (part.observed[row.channel] - responses[row.part].channels[row.channel])[valid]
+        left.setdefault(row.channel, []).append(gap)
+    return left
 
 
 def _written(study: Study, unnamed: StandIn | None) -> Iterator[_Written]:
@@ -266,7 +284,10 @@ def _written(study: Study, unnamed: StandIn | None) -> Iterator[_Written]:
     bare = {name: value for name, value in flat.items() if not name.startswith("model.enrichment.")}
     refitted = _refitted(final, rest, laws)
     if refitted:
-        yield with_constants(bare, together, laws | refitted)
+        # a creep that is slower than the recordings goes on from where each begins: that shifts all of a loop
+        off = _off(study, with_constants(bare, together, laws | refitted))
+        centred = {section: scaled_law(law, 1.0, off.get(section, 0.0)) for section, law in refitted.items()}
+        yield with_constants(bare, together, laws | centred)
 
 
 def _told(study: Study) -> tuple[Constant, ...]:
@@ -297,8 +318,10 @@ def _refitted(final: LinearisedProblem, rest: Floats, laws: Mapping[str, Law]) -
     """The loops that were fitted along with an effect, as laws of a model file.
 
     What the nuisance model made of them is a law plus a correction on known paths of temperature; a law is fitted to both.
+    Beyond the temperatures that are judged the correction goes on as at their ends, down to rest, where a run begins.
     """
     weights = final.loop_weights(final.fit_nuisance(rest))
+    ambient = final.nominal.model.scalars["thermal.ambient"]
     found: dict[str, Law] = {}
     for channel, columns in final.loops.items():
         section, sign = ("resistance", -1.0) if channel == RESISTANCE else ("deflection", 1.0)
@@ -306,13 +329,26 @@ def _refitted(final: LinearisedProblem, rest: Floats, laws: Mapping[str, Law]) -
             start = BankShape.of_bank(laws[section])
         except ValueError:  # no law that a fit wrote: it stays
             continue
-        path = np.concatenate([_cold(part) for part in columns.temperature])
+        temperature = np.concatenate(columns.temperature)
+        change = sign * np.concatenate([raw @ weights[channel] for raw in columns.raw])
+        judged = (
+            np.concatenate([final.weight[row.where] for row in final.rows if row.channel == channel]) > 0.0
+        )
+        low, high = np.min(temperature[judged]), np.max(temperature[judged])
+        near = _NEAR_THE_END * (high - low)
+        at_low, at_high = (
+            float(np.median(change[judged & at_end]))
+            for at_end in (temperature <= low + near, temperature >= high - near)
+        )
+        change = np.where(temperature < low, at_low, np.where(temperature > high, at_high, change))
+        parts = np.split(change, np.cumsum([part.size for part in columns.temperature])[:-1])
+        paths = [*map(_cold, columns.temperature), _cold(np.linspace(min(ambient, low), low, _FROM_REST))]
+        changes = [*parts, np.full(_FROM_REST, at_low)]
+        path = np.concatenate(paths)
         target = np.concatenate(
             [
-                np.concatenate(
-                    [[np.nan], evaluate(start, _cold(part))[0][1:] + sign * (raw @ weights[channel])]
-                )
-                for part, raw in zip(columns.temperature, columns.raw, strict=True)
+                np.concatenate([[np.nan], evaluate(start, one)[0][1:] + by])
+                for one, by in zip(paths, changes, strict=True)
             ]
         )
         if np.count_nonzero(np.isfinite(target)) >= 2 * start.vector.size:

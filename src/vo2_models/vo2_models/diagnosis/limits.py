@@ -140,7 +140,7 @@ class Limits:
     surest: float = _limit(1000.0, "standard deviations beyond which nothing is surer")
     else_least: float = _limit(
         0.05,
-        "least probability that an explanation is wrong that is told, unless the values themselves show it: of 207 answers of "
+        "least probability that an answer is wrong, a name or none, unless the values themselves show it: of 207 answers of "
         "fourteen draws of `challenge --family avalanches` that were told with more than 0.9, 190 were right, 0.92",
     )
     equation: float = _limit(

@@ -498,9 +498,19 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
         for key in explanation.keys:
             by_key[key] = by_key.get(key, 0.0) + float(weight) * certain
             best.setdefault(key, explanation)
+    together = set(study.decision.equivalent)
+    if (
+        together
+        and study.reading.first_use
+        and study.decision.chosen is not None
+        and study.decision.chosen.courses
+    ):
+        # told as one of several without a comparison: none of them is likelier
+        members = [key for key in by_key if key in together]
+        by_key |= dict.fromkeys(members, sum(by_key[key] for key in members) / len(members))
     size = {c: study.located.nominal.span[c] for c in study.located.excess}
     told = 0.0 if study.decision.chosen is None else _share(study, study.decision.chosen.gain)
-    found, together = [], set(study.decision.equivalent)
+    found: list[Candidate] = []
     of_each = {id(e): float(w) for w, e in zip(weights, everyone, strict=True)}
     for key, probability in sorted(by_key.items(), key=lambda item: -item[1]):
         explanation = best[key]
@@ -655,21 +665,20 @@ def _holds(study: Study, explanation: Explanation, change: Floats) -> bool:
 def _something_else(study: Study) -> float:
     """Return the probability that nothing of the catalogue is the answer.
 
-    A logistic function of how surely the best explanation acts and of what it leaves, and no less than answers of that kind have
-    been wrong; at least one half where it is not named.
-    Where there is none it is one, less half of what the best single effect explains.
+    A logistic function of how surely the best explanation acts and of what it leaves; at least one half where it is not named.
+    Where there is none it is one, less half of what the best single effect explains. Unless the values themselves show an effect,
+    no answer is told surer than answers of that kind have been right.
     """
-    adequacy = study.decision.adequacy
+    adequacy, least = study.decision.adequacy, study.limits.else_least
     if adequacy is None:
-        return 1.0 - 0.5 * _best_share(study)
+        return min(1.0 - 0.5 * _best_share(study), 1.0 - least)
     otherwise = adequacy.something_else(study.limits)
-    if np.isfinite(adequacy.sigmas):
-        otherwise = max(otherwise, study.limits.else_least)
     held = study.decision.held
     if held is not None:  # or constants have moved after all
         temper = study.limits.temper * (1.0 + max(study.decision.remaining_excess, 0.0))
         otherwise = 1.0 - (1.0 - otherwise) / (1.0 + float(np.exp(-0.5 * held.ahead / temper)))
-    return otherwise if study.decision.chosen is not None else max(otherwise, study.limits.likelier)
+    otherwise = otherwise if study.decision.chosen is not None else max(otherwise, study.limits.likelier)
+    return min(max(otherwise, least), 1.0 - least) if np.isfinite(adequacy.sigmas) else otherwise
 
 
 def _best_share(study: Study) -> float:
