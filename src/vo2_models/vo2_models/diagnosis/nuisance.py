@@ -55,6 +55,9 @@ class Coverage:
 
 ENOUGH = 8.0
 """Least number of samples in a bin that is covered."""
+BEYOND_THE_END, AT_THE_END = 0.05, 0.01
+"""Shares of the calibration's range: a drive that goes beyond its end by as much as a cell of a law is wide makes the law a
+guess; within the other of the opposite end nothing is remembered of it."""
 PER_BIN = 4.0 * ENOUGH
 """Samples in a bin on average, below which a bin is wider than a kelvin: of few samples none would be covered otherwise."""
 
@@ -72,7 +75,7 @@ def coverage(nominal: Nominal) -> Coverage:
 
     Elsewhere, on the way from a cold rest for instance, the fitted loops are a guess, and a recording that differs there
     says nothing about the device. The rest itself says much: no current, no heat. Everything is covered where the
-    model file has no digest, and on a device without body, whose loops are fitted over all of its drive.
+    model file has no digest, and on a device without body, whose loops are fitted over all of its drive: see `from_beyond`.
 
     Parameters
     ----------
@@ -89,6 +92,28 @@ def coverage(nominal: Nominal) -> Coverage:
     shares = np.minimum(high[:, None], edges[1:]) - np.maximum(low[:, None], edges[:-1])
     shares = np.maximum(shares, 0.0) / (high - low)[:, None]
     return Coverage(edges, digest.count @ shares >= ENOUGH)
+
+
+def from_beyond(path: Floats, low: float, high: float) -> NDArray[np.bool_]:
+    """Whether each sample (n,) is beyond a range, or in a state that came from there: until the other end is reached.
+
+    A hysteresis law that wipes out remembers an excursion beyond its range until the drive has been at the other end.
+
+    Parameters
+    ----------
+    path : coordinate of the loops
+    low, high : ends of the range
+    """
+    place, none = np.arange(1, path.size + 1), 0
+    slack = BEYOND_THE_END * (high - low)
+
+    def latest(where: NDArray[np.bool_]) -> NDArray[np.int64]:
+        return np.maximum.accumulate(np.where(where, place, none))
+
+    above, below = latest(path > high + slack), latest(path < low - slack)
+    near = AT_THE_END * (high - low)
+    at_high, at_low = latest(path >= high - near), latest(path <= low + near)
+    return (above > at_low) | (below > at_high)
 
 
 def coverage_of(paths: Sequence[Floats]) -> Coverage:

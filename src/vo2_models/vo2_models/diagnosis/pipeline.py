@@ -20,7 +20,7 @@ from vo2_models.diagnosis.locate import Located, locate
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.progress import Clock, Progress
 from vo2_models.diagnosis.read import Reading, read
-from vo2_models.diagnosis.report import assemble_diagnosis, equally_likely, unlikely
+from vo2_models.diagnosis.report import assemble_diagnosis, doubts_one_of_two, equally_likely, unlikely
 from vo2_models.diagnosis.result import Diagnosis
 from vo2_models.diagnosis.search import search
 from vo2_models.diagnosis.stages import Study
@@ -154,6 +154,13 @@ def _decided(reading: Reading, located: Located, limits: Limits, clock: Clock) -
     found = search(located, limits, clock, one_loop=reading.one_loop, first_use=reading.first_use)
     decision = decide(located, found, reading, limits, clock)
     answer = Study(reading, located, found, decision, limits, 0.0)
+    if decision.chosen is not None and doubts_one_of_two(answer):
+        # what a second effect explains, others explain as well: the first alone, where that is adequate
+        one = replace(found, options=tuple(o for o in found.options if len(o.chosen.keys) == 1))
+        by_itself = decide(located, one, reading, limits, clock)
+        if by_itself.chosen is not None:
+            found, decision = one, by_itself
+            answer = replace(answer, search=found, decision=decision)
     decision = told_as(decision, _told_as_one_of(answer))
     answer = replace(answer, decision=decision)
     while reading.first_use and decision.chosen is not None and distance(answer) > limits.farther:

@@ -26,6 +26,7 @@ from vo2_models.diagnosis.nuisance import (
     constants_of_each,
     coverage,
     coverage_of,
+    from_beyond,
     refitted_constants,
 )
 from vo2_models.diagnosis.part import Part, prepare
@@ -172,6 +173,8 @@ def read(
     paths = [response.temperature for _, response in started]
     covered = coverage_of(paths) if calibrations else coverage(nominal)
     parts, findings = _mask_uncovered(parts, paths, covered, tuple(shapes), findings, limits)
+    if not calibrations:
+        parts, findings = _mask_from_beyond(parts, paths, nominal, findings, limits)
     repeating = one_loop(paths, [part.dt for part in parts], limits)
     if repeating:
         findings = [*findings, ONE_LOOP]
@@ -444,3 +447,40 @@ def _mask_uncovered(
         "which the calibration hardly covers: they are not judged",
     )
     return parts, [*findings, uncovered]
+
+
+def _mask_from_beyond(
+    given: Sequence[Part],
+    paths: Sequence[Floats],
+    nominal: Nominal,
+    findings: Sequence[Finding],
+    limits: Limits,
+) -> tuple[list[Part], list[Finding]]:
+    """Leave out, of a device without body, what its calibration's drive did not reach, and states that came from there."""
+    digest, scalars = nominal.digest, nominal.model.scalars
+    gain = scalars["thermal.linear_gain"]
+    if digest is None or nominal.model.description.has_body or scalars["thermal.square_gain"] or not gain:
+        return list(given), list(findings)
+    # the way to and from a start is in no block with a sample
+    reached = np.column_stack([digest.temperature[1:], digest.temperature[:-1]])[digest.count > 0.0]
+    low, high = float(reached.min()), float(reached.max())
+    masks = [from_beyond(path, low, high) for path in paths]
+    beyond, count = sum(int(np.count_nonzero(m)) for m in masks), sum(part.size for part in given)
+    if not beyond:
+        return list(given), list(findings)
+    ends = sorted((end - scalars["thermal.ambient"]) / gain for end in (low, high))
+    covered = f"{ends[0]:.4g} to {ends[1]:.4g} {nominal.model.description.drive_unit}"
+    if count - beyond < limits.shortest // 2:
+        raise Unusable(
+            f"recordings: {beyond} of {count} samples are beyond {covered}, which is what the calibration covers, or come from "
+            "there on loops that it has not seen; fit a calibration that covers them"
+        )
+    parts = [
+        replace(part, valid={c: good & ~mask for c, good in part.valid.items()})
+        for part, mask in zip(given, masks, strict=True)
+    ]
+    text = (
+        f"{100 * beyond / count:.1f} % of the samples are beyond {covered}, which is what the calibration covers, or come from "
+        "there on loops that it has not seen: they are not judged"
+    )
+    return parts, [*findings, Finding("unjudged" if beyond > limits.unjudged * count else "beyond", text)]

@@ -46,6 +46,7 @@ __all__ = [
     "assemble_diagnosis",
     "beside_the_first",
     "course_of",
+    "doubts_one_of_two",
     "equally_likely",
     "excess_by_channel",
     "in_own_names",
@@ -585,6 +586,20 @@ def equally_likely(study: Study) -> tuple[str, ...]:
     return tuple(most) if len({key.partition(":")[0] for key in most}) > 1 and chosen.keys[0] in most else ()
 
 
+def doubts_one_of_two(study: Study) -> bool:
+    """Return whether one of two effects that are named together is less likely than not: others would do in its place.
+
+    Parameters
+    ----------
+    study : what the stages found
+    """
+    chosen = study.decision.chosen
+    if chosen is None or len(chosen.keys) < 2:
+        return False
+    probability = _candidates(study)[1]
+    return min(probability[key] for key in chosen.keys) < study.limits.likelier
+
+
 def unlikely(study: Study) -> bool:
     """Return whether something else than what is named is more likely than a name.
 
@@ -924,12 +939,27 @@ def _unknown(study: Study) -> NamedEffect:
     family = (
         swings[0].record.family(swings[0].signal)
         if swings
-        else family_of_unnamed(
+        else _family_of_the_best(study)
+        or family_of_unnamed(
             study.located.problem, study.located.excess, outside.shapes if outside is not None else ()
         )
     )
     form = shapes[0].words if shapes else "none found"
     return NamedEffect("unknown", float(probability), statement, equation, {}, family=family, form=form)
+
+
+def _family_of_the_best(study: Study) -> str:
+    """The family of a single effect that explains more of what has no name than any of another family; empty for none."""
+    if study.decision.chosen is not None or not study.located.problem.nominal.model.description.has_body:
+        return ""
+    best: dict[str, float] = {}
+    for one in study.search.singles:
+        (hypothesis,) = one.hypotheses
+        family = hypothesis.record.family(hypothesis.signal)
+        best[family] = max(best.get(family, 0.0), _share(study, one.gain))
+    first, second, *_ = [*sorted(best.items(), key=lambda item: -item[1]), ("", 0.0), ("", 0.0)]
+    clear = first[1] >= study.limits.likelier and first[1] - second[1] >= study.limits.clear_family
+    return first[0] if clear else ""
 
 
 def _by_recording(study: Study) -> list[str]:

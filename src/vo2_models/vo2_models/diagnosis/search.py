@@ -360,10 +360,14 @@ def _options(
     clock.say("linearising about the explanation")
     alone = option_of(located.nominal, problem, first, singles, limits, tick=clock.tick)
     # a gain that holds only where the simulation is linear is gone there: then another effect may be ahead
+    courses = []
     for other in [e for e in singles if e is not first and not e.at_bound][: RELINEARISED - 1]:
-        if other.gain <= alone.chosen.gain:
-            break
+        # nor does the linear gain of a large course say much beside that of another
+        rival_course = _takes_course(other) and _takes_course(first)
+        if other.gain <= alone.chosen.gain and not rival_course:
+            continue
         again = option_of(located.nominal, problem, other, singles, limits, tick=clock.tick)
+        courses += [again] if rival_course else []
         # one that went to its bound would not be named
         if not again.chosen.at_bound and cost(again.chosen, problem, limits) < cost(
             alone.chosen, problem, limits
@@ -378,7 +382,19 @@ def _options(
         pair = _pair_in_place_of_one(located, alone, singles, candidates, limits, clock)
     if not pair:
         return [alone]
+    if pair.remaining > limits.slack:  # a large course is not told from another before its partner is there
+        for other in courses:
+            swapped = pair_of(located.nominal, problem, other, candidates, limits, tick=clock.tick)
+            if swapped is not None and cost(swapped.chosen, problem, limits) < cost(
+                pair.chosen, problem, limits
+            ):
+                pair, alone = swapped, other
     return [pair, *_partner_alone(located, pair, alone, limits, clock), alone]
+
+
+def _takes_course(explanation: Explanation) -> bool:
+    """Whether the simulation follows the course of a single effect."""
+    return bool(explanation.courses) and explanation.hypotheses[0].record.takes_course
 
 
 def _where_told(located: Located, alone: Option, limits: Limits, clock: Clock) -> Option:
