@@ -44,7 +44,7 @@ class HeldOut:
 
 
 def block_folds(problem: LinearisedProblem, *, blocks: int = 20) -> list[NDArray[np.bool_]]:
-    """Return two folds of alternating long blocks, each (N,) True where a sample is held out.
+    """Return two folds of alternating long blocks of as many judged samples, each (N,) True where a sample is held out.
 
     Parameters
     ----------
@@ -52,8 +52,9 @@ def block_folds(problem: LinearisedProblem, *, blocks: int = 20) -> list[NDArray
     blocks : per channel and recording
     """
     odd = np.zeros(problem.weight.size, dtype=bool)
-    for row, part, _ in problem.iterate():
-        place = np.arange(part.size) * blocks // part.size
+    for row in problem.rows:
+        judged = problem.weight[row.where] > 0.0
+        place = (np.cumsum(judged) - 1) * blocks // max(int(np.count_nonzero(judged)), 1)
         odd[row.where] = place % 2 == 1
     return [odd, ~odd]
 

@@ -470,7 +470,7 @@ def _mask_from_beyond(
         return list(given), list(findings)
     ends = sorted((end - scalars["thermal.ambient"]) / gain for end in (low, high))
     covered = f"{ends[0]:.4g} to {ends[1]:.4g} {nominal.model.description.drive_unit}"
-    if count - beyond < limits.shortest // 2:
+    if count - beyond < limits.shortest:
         raise Unusable(
             f"recordings: {beyond} of {count} samples are beyond {covered}, which is what the calibration covers, or come from "
             "there on loops that it has not seen; fit a calibration that covers them"

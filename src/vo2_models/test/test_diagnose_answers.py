@@ -1,0 +1,195 @@
+"""What an answer says beside its name: of another device, of a second effect, of a family, of states nobody has seen."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from vo2_models.device.description import described, preset
+from vo2_models.diagnosis import report
+from vo2_models.diagnosis import search as third_stage
+from vo2_models.diagnosis.adequacy import Adequacy
+from vo2_models.diagnosis.check import Unusable
+from vo2_models.diagnosis.nuisance import from_beyond
+from vo2_models.diagnosis.pipeline import study
+from vo2_models.diagnosis.progress import Clock
+from vo2_models.diagnosis.report import assemble_diagnosis
+from vo2_models.diagnosis.result import MovedConstant
+from vo2_models.hysteresis.preisach import PreisachOperator
+from vo2_models.identification.model_fit import fit_model
+from vo2_models.recording import HEATER_CURRENT, TIP_DEFLECTION, Recording
+
+DEVICE = described(
+    {
+        "schema": "vo2-device/1",
+        "id": "stack",
+        "drive": {"channel": "volts", "unit": "V", "limits": [-0.5, 10.5], "operating": [0.0, 10.0]},
+        "body": {"kind": "none"},
+        "responses": {"stroke": {"unit": "m"}},
+    },
+    "stack",
+)
+LAW = PreisachOperator(np.linspace(0.0, 10.0, 21), 1e-7 * np.tril(np.ones((20, 20))))
+
+
+def recorded(seed, low=0.0, high=10.0):
+    """Loops of falling and rising size between two voltages, from rest at the lower one."""
+    levels = np.random.default_rng(seed).uniform(size=60)
+    levels[:4] = 0.0, 1.0, 0.0, 1.0
+    levels[6::6] = 0.0
+    share = np.interp(np.arange(900), np.arange(60) * 15.0, levels)
+    volts = low + (high - low) * share
+    noise = 2e-9 * np.random.default_rng(seed + 100).standard_normal(volts.size)
+    channels = {HEATER_CURRENT: volts, TIP_DEFLECTION: LAW.run(volts) + noise}
+    return Recording(0.1 * np.arange(volts.size), channels, "stack")
+
+
+@pytest.fixture(scope="module")
+def model():
+    return fit_model([recorded(1, 0.0, 6.0)], DEVICE.key)[1]
+
+
+@pytest.fixture(scope="module")
+def found(model):
+    return study([recorded(2, 0.0, 6.0)], model)
+
+
+def with_body(found):
+    nominal = found.located.problem.nominal
+    of = replace(nominal, model=replace(nominal.model, device=preset("integrated").key))
+    return replace(found, located=replace(found.located, problem=replace(found.located.problem, nominal=of)))
+
+
+def test_a_state_from_beyond_the_range_lasts_until_the_other_end_is_reached():
+    path = np.array([0.5, 1.0, 1.04, 0.5, 1.2, 0.6, 0.9, 0.05, 0.005, 0.5, -0.2, 0.5, 0.995, 0.5])
+    beyond = from_beyond(path, 0.0, 1.0)
+    assert np.flatnonzero(beyond).tolist() == [4, 5, 6, 7, 10, 11]
+    assert not from_beyond(path[:4], 0.0, 1.0).any()
+
+
+def test_what_comes_from_beyond_the_calibration_is_not_judged(model):
+    wider = study([recorded(3, 0.0, 9.0)], model)
+    (finding,) = [f for f in wider.reading.findings if "come from there" in f.text]
+    assert finding.kind == "unjudged" and "beyond 0 to 6 V" in finding.text.replace("0.0", "0")
+    assert assemble_diagnosis(wider).summary.startswith(finding.text)
+    (part,) = wider.reading.parts
+    volts = part.current
+    assert not part.valid[TIP_DEFLECTION][volts > 6.4].any() and part.valid[TIP_DEFLECTION][volts < 6.4].any()
+    with pytest.raises(
+        Unusable, match=r"of 900 samples are beyond .* V, .*; fit a calibration that covers them"
+    ):
+        study([recorded(3, 9.0, 10.4)], model)
+
+
+def test_within_the_calibration_nothing_is_left_out(found):
+    assert not [f for f in found.reading.findings if "come from there" in f.text]
+
+
+@pytest.mark.parametrize(
+    ("moves", "verdict", "asked"),
+    [
+        ({"deflection.gain": 1.2, "thermal.time_constant": 1.1, "thermal.linear_gain": 0.9}, "drifted", True),
+        ({"deflection.gain": 1.2, "thermal.time_constant": 1.1}, "drifted", False),
+        ({"deflection.gain": 1.2, "thermal.time_constant": 1.1}, "differs", True),
+        (
+            {"deflection.gain": 1.02, "thermal.time_constant": 1.01, "thermal.linear_gain": 1.1},
+            "drifted",
+            False,
+        ),
+        (
+            {"thermal.square_gain": 1.2, "thermal.time_constant": 1.1, "thermal.linear_gain": 0.9},
+            "drifted",
+            False,
+        ),
+    ],
+)
+def test_many_constants_far_off_at_once_raise_the_question_of_another_device(
+    found, monkeypatch, moves, verdict, asked
+):
+    moved = [MovedConstant(name, 1.0, now, 1e-3, "1") for name, now in moves.items()]
+    monkeypatch.setattr(report, "_moved", lambda study: moved)
+    answer = replace(found, decision=replace(found.decision, verdict=verdict, chosen=None))
+    said = report._device_in_words(answer)
+    assert ("is it a recording of another device?" in said) is asked
+
+
+def test_one_of_two_that_is_less_likely_than_not_is_doubted(found, monkeypatch):
+    def doubted(first, second):
+        monkeypatch.setattr(report, "_candidates", lambda study: ([], {"a": first, "b": second}))
+        chosen = SimpleNamespace(keys=("a", "b"))
+        return report.doubts_one_of_two(replace(found, decision=replace(found.decision, chosen=chosen)))
+
+    assert doubted(0.9, 0.45) and not doubted(0.9, 0.55)
+    assert not report.doubts_one_of_two(found)
+
+
+@pytest.mark.parametrize(
+    ("shares", "family"),
+    [({"film": 0.6, "heat": 0.3}, "film"), ({"film": 0.6, "heat": 0.4}, ""), ({"film": 0.45}, "")],
+)
+def test_what_has_no_name_is_of_the_family_that_explains_clearly_most(found, monkeypatch, shares, family):
+    singles = tuple(
+        SimpleNamespace(
+            hypotheses=(SimpleNamespace(record=SimpleNamespace(family=lambda s, own=own: own), signal=""),),
+            gain=share,
+        )
+        for own, share in shares.items()
+    )
+    monkeypatch.setattr(report, "_share", lambda study, gain: gain)
+    searched = replace(found, search=replace(found.search, singles=singles))
+    assert report._family_of_the_best(with_body(searched)) == family
+    assert report._family_of_the_best(searched) == "", "of one loop neither film nor heat can be told"
+
+
+@pytest.mark.parametrize("sigmas", [100.0, np.inf])
+@pytest.mark.parametrize("left", [0.0, 1e6])
+def test_no_answer_is_surer_than_such_answers_were_unless_the_values_show_it(found, sigmas, left):
+    adequacy = Adequacy(("creep",), 1.0, left, sigmas)
+    told = report._something_else(replace(found, decision=replace(found.decision, adequacy=adequacy)))
+    least = found.limits.else_least
+    assert (least <= told <= 1.0 - least) is bool(np.isfinite(sigmas) or left == 0.0)
+
+
+@pytest.mark.parametrize("leaves", [0.5, 9.0])
+def test_a_course_is_compared_with_another_beside_the_partner(found, monkeypatch, leaves):
+    """Of two rooms-like drifts the one that is worse alone may be right once the second effect is there."""
+
+    def single(key, gain):
+        record = SimpleNamespace(takes_course=True)
+        return SimpleNamespace(
+            keys=(key,), gain=gain, chi_square=100.0 - gain, at_bound=(), courses={key: None},
+            hypotheses=(SimpleNamespace(record=record),), cornered=False,
+        )  # fmt: skip
+
+    def option(chosen, remaining=50.0):
+        return SimpleNamespace(chosen=chosen, remaining=remaining)
+
+    def paired(nominal, problem, alone, *others, **more):
+        ours = alone.chosen.keys[0] == "drive_gain_drift"
+        both = SimpleNamespace(keys=(*alone.chosen.keys, "averaging"), chi_square=leaves if ours else 2.0)
+        return option(both, leaves if ours else 0.0)
+
+    singles = [single("drive_gain_drift", 40.0), single("ambient_drift", 30.0)]
+    monkeypatch.setattr(third_stage, "_best_inside", lambda singles, limits: singles[0])
+    monkeypatch.setattr(third_stage, "option_of", lambda nominal, problem, one, *others, **more: option(one))
+    monkeypatch.setattr(third_stage, "_in_one_switch", lambda located, alone, *others: alone)
+    monkeypatch.setattr(third_stage, "_partner_alone", lambda *others: [])
+    monkeypatch.setattr(third_stage, "pair_of", paired)
+    monkeypatch.setattr(third_stage, "cost", lambda one, problem, limits: one.chi_square)
+    quiet = replace(found.located, own_misfit={})
+    first, *_ = third_stage._options(
+        quiet, singles, [], replace(found.limits, gain=0.0, slack=1.0), Clock(lambda *told: None, 1)
+    )
+    assert first.chosen.keys[0] == ("ambient_drift" if leaves > 1.0 else "drive_gain_drift")
+
+
+def test_a_move_of_a_device_that_is_not_heated_is_told_of_its_drive_and_its_response(found):
+    def said(constant, now):
+        return report._as_drive(found, MovedConstant(constant, 2.0, now, 0.1, "1"))
+
+    assert said("thermal.linear_gain", 1.8) == " (the drive is 0.9 times what it was)"
+    assert said("deflection.gain", 1.8) == " (tip_deflection is 0.9 times what it was)"
+    assert said("thermal.time_constant", 1.8) == ""
+    assert said("deflection.gain", 1.8) and not report._as_drive(
+        with_body(found), MovedConstant("deflection.gain", 2.0, 1.8, 0.1, "1")
+    )
