@@ -9,9 +9,10 @@ from vo2_identification.bags import write_bag
 from vo2_identification.diagnose import main
 from vo2_models.device import truth
 from vo2_models.device.coefficients import Coefficient
-from vo2_models.diagnosis import pipeline, study
+from vo2_models.diagnosis import corrected_model, pipeline, study
 from vo2_models.diagnosis.corrected_model import distance
 from vo2_models.diagnosis.report import assemble_diagnosis
+from vo2_models.hysteresis.laws import scaled_law
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.model_file import save_model_parameters
 from vo2_models.recording import Recording
@@ -54,6 +55,33 @@ def test_a_model_with_the_name_comes_nearer_and_one_with_a_false_name_does_not(s
     leak = next(h for h in seen.search.candidates if h.key == "leakage_resistance")
     false = replace(chosen, hypotheses=(leak,), values=({"conductance": 1e-4},))
     assert distance(replace(seen, decision=replace(seen.decision, chosen=false))) > seen.limits.farther
+
+
+def test_loops_fitted_along_stand_where_the_recordings_are(seen) -> None:
+    model = seen.located.nominal.model
+    as_it_is = corrected_model._off(seen, corrected_model._Written(seen.located.nominal.parameters))
+    shifted = replace(
+        model,
+        deflection=scaled_law(model.deflection, 1.0, 1e-6),
+        resistance=scaled_law(model.resistance, 1.0, 0.01),
+    )
+    written = {**seen.located.nominal.parameters, **shifted.to_parameters()}
+    off = corrected_model._off(seen, corrected_model._Written(written))
+    # a law of -log10 R that is too high by 0.01 is to come down by as much
+    assert off["deflection"] - as_it_is["deflection"] == pytest.approx(-1e-6, rel=1e-3)
+    assert off["resistance"] - as_it_is["resistance"] == pytest.approx(-0.01, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_a_creep_that_outlasts_the_recordings_is_named_too() -> None:
+    """It goes on from the state in which each begins, so that the loops that were fitted along must hold there as well."""
+    all_along = {"log_creep": {"rate": 0.016, "onset": 0.04}}
+    recording = measured(calibration(SEED, DEVICE, all_along, samples=6000))
+    parameters = fit_model([recording], DEVICE, plays=12, self_sensing=False)[1]
+    later = [concealed(all_along, seed=seed, samples=2500) for seed in (21, 22)]
+    answer = study(later, parameters, calibration=[recording])
+    (effect,) = assemble_diagnosis(answer).effects
+    assert effect.id in ("creep", "log_creep") and distance(answer) < 1.0
 
 
 @pytest.mark.slow

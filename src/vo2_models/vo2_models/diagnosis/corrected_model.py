@@ -334,6 +334,8 @@ def _refitted(final: LinearisedProblem, rest: Floats, laws: Mapping[str, Law]) -
         judged = (
             np.concatenate([final.weight[row.where] for row in final.rows if row.channel == channel]) > 0.0
         )
+        if not judged.any():
+            continue
         low, high = np.min(temperature[judged]), np.max(temperature[judged])
         near = _NEAR_THE_END * (high - low)
         at_low, at_high = (

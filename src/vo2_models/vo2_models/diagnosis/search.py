@@ -383,12 +383,12 @@ def _options(
     if not pair:
         return [alone]
     if pair.remaining > limits.slack:  # a large course is not told from another before its partner is there
-        for other in courses:
-            swapped = pair_of(located.nominal, problem, other, candidates, limits, tick=clock.tick)
+        for rival in courses:
+            swapped = pair_of(located.nominal, problem, rival, candidates, limits, tick=clock.tick)
             if swapped is not None and cost(swapped.chosen, problem, limits) < cost(
                 pair.chosen, problem, limits
             ):
-                pair, alone = swapped, other
+                pair, alone = swapped, rival
     return [pair, *_partner_alone(located, pair, alone, limits, clock), alone]
 
 
