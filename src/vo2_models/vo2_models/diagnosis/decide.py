@@ -343,11 +343,9 @@ def _drift(
 
 def _beside_what_is_left(drift: Drift, located: Located) -> Drift:
     """The same move where a body's device shows more than it and noise: its standard deviations are those of what is left."""
-    if (
-        not located.nominal.model.description.has_body
-    ):  # they are wider by its error on held-out blocks already
+    if not located.nominal.model.description.has_body:  # wider already, by its error on held-out blocks
         return drift
-    return drift.widened(float(np.sqrt(1.0 + max(located.excess.values()))))
+    return drift.widened(float(np.sqrt(1.0 + max(0.0, *located.excess.values()))))
 
 
 def _shows(problem: LinearisedProblem, judged: HeldOut, limits: Limits) -> bool:

@@ -360,7 +360,7 @@ def _options(
     clock.say("linearising about the explanation")
     alone = option_of(located.nominal, problem, first, singles, limits, tick=clock.tick)
     # a gain that holds only where the simulation is linear is gone there: then another effect may be ahead
-    courses = []
+    courses = [alone]
     for other in [e for e in singles if e is not first and not e.at_bound][: RELINEARISED - 1]:
         # nor does the linear gain of a large course say much beside that of another
         rival_course = _takes_course(other) and _takes_course(first)
@@ -373,6 +373,7 @@ def _options(
             alone.chosen, problem, limits
         ):
             alone = again
+    rivals = [one for one in courses if one is not alone] if len(courses) > 1 else []
     alone = _in_one_switch(located, alone, limits, clock)
     if located.own_misfit:  # beside a misfit that is no noise a second effect is never named
         return [_where_told(located, alone, limits, clock)]
@@ -383,7 +384,7 @@ def _options(
     if not pair:
         return [alone]
     if pair.remaining > limits.slack:  # a large course is not told from another before its partner is there
-        for rival in courses:
+        for rival in rivals:
             swapped = pair_of(located.nominal, problem, rival, candidates, limits, tick=clock.tick)
             if swapped is not None and cost(swapped.chosen, problem, limits) < cost(
                 pair.chosen, problem, limits
