@@ -161,6 +161,7 @@ def test_the_corrected_model_loads_and_follows_the_recording_better(creeping, tm
     assert miss[1] < 0.6 * miss[0]
 
 
+@pytest.mark.slow
 def test_constants_that_no_device_has_are_told_and_not_written(creeping, tmp_path, monkeypatch) -> None:
     def moves(study, rest, told):
         return np.array([-1e9 * (c.name == "thermal.time_constant") + 1e9 * ("gain" in c.name) for c in told])
@@ -280,6 +281,7 @@ def test_what_ramps_do_not_tell_from_moved_constants_is_told_beside_them() -> No
     assert any("laser_heating" in limit for limit in assemble_diagnosis(seen).limits)
 
 
+@pytest.mark.slow
 def test_one_effect_is_named_where_several_constants_would_have_to_move_in_its_place(parameters) -> None:
     """A heater whose resistance rises with its heat is a stronger and slower heat path, nearly: two constants, or one effect."""
     seen = study([concealed({"heater_tcr": {"alpha": 1e-4}})], parameters)

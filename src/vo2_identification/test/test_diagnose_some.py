@@ -76,6 +76,7 @@ def test_what_came_after_the_calibration_is_named_with_it_given_too() -> None:
     assert "recording 1 agrees; recording 2 differs (sensor_lag" in answer.summary
 
 
+@pytest.mark.slow
 def test_a_room_of_its_own_for_each_recording_is_no_room_that_drifts() -> None:
     rooms = [
         concealed(samples=SAMPLES, seed=5 + k, room=np.full(SAMPLES, r)) for k, r in enumerate((-0.8, 1.5))

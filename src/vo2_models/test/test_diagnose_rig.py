@@ -289,6 +289,7 @@ def test_effects_that_explain_as_much_are_told_as_a_set_without_a_name(lagging):
     assert [len(option.chosen.keys) for option in found.search.options] == [1]
 
 
+@pytest.mark.slow
 def test_a_creep_on_top_is_found_and_what_the_law_misses_does_not_speak_against_it(model):
     pole = np.exp(-0.1 / 6.0)
 
@@ -314,6 +315,7 @@ def test_a_creep_on_top_is_found_and_what_the_law_misses_does_not_speak_against_
     assert freed.chi_square < stuck.chi_square and not freed.at_bound and "gain" not in freed.values[0]
 
 
+@pytest.mark.slow
 def test_what_the_law_misses_in_a_few_places_is_no_sign_of_something_else(model):
     """As small loops that are none of its kind: a twelfth of the range for a tenth of the time, beside an effect and alone."""
     span, time = np.ptp(recorded(2)[TIP_DEFLECTION]), np.arange(SIZE) * 0.1
@@ -362,6 +364,7 @@ def test_a_gain_that_walks_is_the_sensor_s(model):
     assert effect.id == "sensor_gain_drift" and effect.family == "sensor:stroke"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("of_response", "of_drive", "of_time"),
     [(1e9, 1e3, 1e-4), pytest.param(1e-3, 1e-4, 1e4, marks=pytest.mark.slow)],
@@ -403,6 +406,7 @@ def test_units_and_sizes_change_nothing(model, of_response, of_drive, of_time):
     assert same == pytest.approx(of_response * pitch, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_what_leaves_more_than_any_unchanged_device_is_no_rival(model):
     """Of a loop without a memoryless part, a slow sensor is what a slow transition is; an average of its output is not."""
     rng = np.random.default_rng(3)
@@ -474,6 +478,7 @@ def test_units_of_parameters_are_those_of_the_device():
     assert told == ["V/s", "1/(A m2)^2", "A m2", "(A m2)/s", "ohm", "K"]
 
 
+@pytest.mark.slow
 def test_a_zero_that_drifts_is_told(model):
     found = study([recorded(2, change=lambda y: y + 0.1 * np.ptp(y) * np.linspace(0.0, 1.0, y.size))], model)
     (effect,) = assemble_diagnosis(found).effects
@@ -549,6 +554,7 @@ def test_beside_a_constant_that_explains_by_itself_nothing_is_named_within_the_m
     assert study([late], model, limits=replace(found.limits, alone=-1.0)).decision.equivalent
 
 
+@pytest.mark.slow
 def test_a_lag_of_the_drive_that_is_many_times_what_it_was_is_a_moved_constant():
     def ramps(seed, lag):
         rng = np.random.default_rng(seed)
@@ -806,6 +812,7 @@ def test_what_is_refused_is_told_in_the_names_and_units_of_the_device(model):
         study([still], model)
 
 
+@pytest.mark.slow
 def test_a_constant_does_not_follow_an_effect_by_more_than_the_calibration_allows(model):
     """A response that comes five samples late is no dead time that the calibration has told wrongly by forty deviations."""
     found = study([recorded(2, change=lambda y: np.concatenate([np.full(5, y[0]), y[:-5]]))], model)

@@ -256,6 +256,7 @@ def test_transients_that_the_loops_hide_are_not_called_missing():
     assert note.startswith("no transients in the recording")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [6, 7])
 def test_bounds_are_wider_where_a_loop_is_steep_and_hold_on_drives_that_the_fit_has_not_seen(seed):
     device = truth("integrated", seed=seed)

@@ -84,6 +84,7 @@ def test_an_open_file_is_fitted_in_lag_loop_and_sense(sign):
     assert not any("one rate" in note or "same size" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_a_lag_that_begins_with_the_next_sample_is_a_lag_and_a_delay():
     """A logger writes a drive as it is set, and the response before that acts."""
     drive = np.concatenate([_drive(1000, 150), np.repeat(np.random.default_rng(6).uniform(*VOLTS, 100), 10)])
@@ -95,6 +96,7 @@ def test_a_lag_that_begins_with_the_next_sample_is_a_lag_and_a_delay():
     assert not result.model.effects
 
 
+@pytest.mark.slow
 def test_the_lag_of_a_butterfly_is_found():
     """An elongation goes as the square of the magnetisation: no sum of plays of one sign turns within the loop."""
     drive = np.concatenate([_drive(1000, 150), np.repeat(np.random.default_rng(6).uniform(*VOLTS, 100), 10)])
@@ -152,6 +154,7 @@ def test_a_response_that_rings_is_fitted_with_its_mode():
     assert error < 0.01 * np.ptp(values)
 
 
+@pytest.mark.slow
 def test_a_drive_that_is_held_is_told_where_a_fast_mode_shows_it():
     """A converter at 1 kHz, an amplifier of 0.3 ms and a mode at 210 Hz: a response goes far from straight between samples."""
     radii = np.array([0.02, 0.05, 0.1, 0.2, 0.35])

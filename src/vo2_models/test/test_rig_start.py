@@ -75,6 +75,7 @@ def test_of_few_samples_none_is_left_out(device) -> None:
     assert notes and not any("begins at a state" in note for note in notes)
 
 
+@pytest.mark.slow
 def test_what_begins_relaxed_is_judged_from_where_that_is_forgotten(fitted) -> None:
     parameters = fitted[1]
     answer = diagnose([recording(levels(2), seed=3)], parameters)
@@ -83,6 +84,7 @@ def test_what_begins_relaxed_is_judged_from_where_that_is_forgotten(fitted) -> N
     assert "the first 3" in told and "are not judged" in told
 
 
+@pytest.mark.slow
 def test_a_gain_that_has_moved_is_told_beside_a_relaxed_beginning(fitted) -> None:
     parameters = fitted[1]
     later = recording(levels(2), seed=3)

@@ -45,6 +45,7 @@ def located(recording: Recording, model: dict) -> Located:
     )
 
 
+@pytest.mark.slow
 def test_a_change_on_flat_stretches_shows_beside_a_misfit_of_the_steep_ones():
     model = fit_model([recorded(1)], STACK.key)[1]
     sensor = f"model.sensors.{TIP_DEFLECTION}"
