@@ -5,7 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from vo2_models.device.description import described, preset
+from own_devices import STACK_TO_10_V as DEVICE
+from vo2_models.device.description import preset
 from vo2_models.diagnosis import report
 from vo2_models.diagnosis import search as third_stage
 from vo2_models.diagnosis.adequacy import Adequacy
@@ -19,16 +20,6 @@ from vo2_models.hysteresis.preisach import PreisachOperator
 from vo2_models.identification.model_fit import fit_model
 from vo2_models.recording import HEATER_CURRENT, TIP_DEFLECTION, Recording
 
-DEVICE = described(
-    {
-        "schema": "vo2-device/1",
-        "id": "stack",
-        "drive": {"channel": "volts", "unit": "V", "limits": [-0.5, 10.5], "operating": [0.0, 10.0]},
-        "body": {"kind": "none"},
-        "responses": {"stroke": {"unit": "m"}},
-    },
-    "stack",
-)
 LAW = PreisachOperator(np.linspace(0.0, 10.0, 21), 1e-7 * np.tril(np.ones((20, 20))))
 
 
@@ -152,7 +143,7 @@ def test_no_answer_is_surer_than_such_answers_were_unless_the_values_show_it(fou
 
 @pytest.mark.parametrize("leaves", [0.5, 9.0])
 def test_a_course_is_compared_with_another_beside_the_partner(found, monkeypatch, leaves):
-    """Of two rooms-like drifts the one that is worse alone may be right once the second effect is there."""
+    """Of two courses the one that is worse alone may be right once the second effect is there."""
 
     def single(key, gain):
         record = SimpleNamespace(takes_course=True)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from own_devices import STACK_TO_10_V as DEVICE
 from scipy.signal import lfilter, lsim
 from vo2_models.device.description import described, preset
 from vo2_models.device.model import DeviceModel
@@ -33,16 +34,6 @@ from vo2_models.identification.model_fit import fit_model
 from vo2_models.prediction import predict
 from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION, Recording
 
-DEVICE = described(
-    {
-        "schema": "vo2-device/1",
-        "id": "stack",
-        "drive": {"channel": "volts", "unit": "V", "limits": [-0.5, 10.5], "operating": [0.0, 10.0]},
-        "body": {"kind": "none"},
-        "responses": {"stroke": {"unit": "m"}},
-    },
-    "stack",
-)
 HIGH, LOW = np.tril_indices(40)
 MIDDLE = np.exp(
     -0.5 * ((HIGH + LOW - 40) / 20) ** 2
