@@ -44,6 +44,7 @@ def quasi_static(effects, *, turns, seconds, seed):
     return Recording(found.time_s, channels, found.device)
 
 
+@pytest.mark.slow
 def test_the_experiment_is_played_as_designed_and_diagnosed_with_the_first_recording(
     graph, conductor, tmp_path, capfd
 ):

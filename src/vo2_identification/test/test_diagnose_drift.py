@@ -141,6 +141,7 @@ def test_the_corrected_model_has_the_moved_constants(parameters, tmp_path) -> No
     assert "thermal.ambient" in (tmp_path / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_an_effect_beside_a_drift_is_named_and_the_drift_told(parameters) -> None:
     creep = {"creep": {"share": 0.06, "time_constant": 0.2}}
     answer = diagnose([concealed(creep, moved=WARMER)], parameters)
@@ -194,11 +195,12 @@ def test_commands_stamped_late_by_a_fraction_are_moved_to_where_they_act(paramet
     assert delay == pytest.approx(-1e-3 * periods, abs=0.05e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("moved", "name", "by"),
     [
         ((Coefficient.SQUARE_GAIN, 1.03, 0.0), "thermal.square_gain", 0.03 * 1.01e6),
-        pytest.param((Coefficient.AMBIENT, 1.0, 1.5), "thermal.ambient", 1.5, marks=pytest.mark.slow),
+        ((Coefficient.AMBIENT, 1.0, 1.5), "thermal.ambient", 1.5),
     ],
 )
 def test_a_constant_that_explains_a_recording_by_itself_is_told_with_loops_as_they_were(

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from vo2_models.device import DeviceModel
-from vo2_models.diagnosis.loop_shape import loop_shapes
+from vo2_models.diagnosis.loop_shape import STRETCHES, _left_out_each, loop_shapes
 from vo2_models.diagnosis.misfit import NO_MISFIT, Misfit, Whitening, innovations
 from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of
@@ -115,3 +115,20 @@ def test_main_directions_are_the_eigenvectors_of_the_whole_matrix(calibration, s
     assert found.shape == wanted.shape and found.shape[1] == many
     sign = np.sign(np.sum(found * wanted, axis=0))
     np.testing.assert_allclose(found * sign, wanted, atol=1e-6 * np.max(np.abs(wanted), initial=0.0))
+
+
+@pytest.mark.parametrize("size", [1.0, 1e6], ids=["open", "known to a millionth"])
+def test_a_stretch_is_judged_by_what_the_others_say_of_it(size):
+    """One factor of all stretches against the definition: the others alone are regressed, and predict the one left out."""
+    rng = np.random.default_rng(3)
+    columns, target = size * rng.normal(size=(60, 7)), rng.normal(size=60)
+    found = list(_left_out_each(columns, target))
+    assert [piece.start for piece, _, _ in found] == [10 * k for k in range(STRETCHES)]
+    for piece, chi_square, log_determinant in found:
+        others = np.ones(60, bool)
+        others[piece] = False
+        precision = columns[others].T @ columns[others] + np.eye(7)
+        left = target[piece] - columns[piece] @ np.linalg.solve(precision, columns[others].T @ target[others])
+        spread = np.eye(10) + columns[piece] @ np.linalg.solve(precision, columns[piece].T)
+        assert chi_square == pytest.approx(float(left @ np.linalg.solve(spread, left)), rel=1e-6)
+        assert log_determinant == pytest.approx(np.linalg.slogdet(spread)[1], rel=1e-6)

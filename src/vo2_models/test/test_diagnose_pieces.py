@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 from vo2_models.device import DeviceModel, preset
 from vo2_models.device.description import described
-from vo2_models.diagnosis import decide, study
+from vo2_models.diagnosis import decide
 from vo2_models.diagnosis.adequacy import Adequacy
 from vo2_models.diagnosis.breakdown import one_loop, turning_points
 from vo2_models.diagnosis.check import Unusable, check_recording
@@ -24,6 +24,8 @@ from vo2_models.diagnosis.nonparametric_correction import Shape
 from vo2_models.diagnosis.nuisance import Constant
 from vo2_models.diagnosis.part import _after_torn_steps, _turns
 from vo2_models.diagnosis.problem import _possible
+from vo2_models.diagnosis.progress import Clock
+from vo2_models.diagnosis.read import read
 from vo2_models.diagnosis.report import beside_the_first, probabilities
 from vo2_models.diagnosis.result import SCHEMA, validate
 from vo2_models.effects.adc_quantization import value_step
@@ -203,8 +205,10 @@ def test_a_channel_that_stands_still_is_not_compared(noise) -> None:
     still = 1e-5 + noise * np.random.default_rng(0).standard_normal(2000)
     (found,) = check_recording(recording(tip_deflection=still), model(), Limits())
     assert found.leaves_out == "tip_deflection" and "not compared" in found.text
-    both = study([recording(tip_deflection=still)], model().model.to_parameters()).reading.parts
-    assert both[0].channels == ("film_resistance",)
+    nominal = Nominal.from_parameters(model().model.to_parameters())
+    clock = Clock(lambda share, text: None, 1)
+    (part,) = read([recording(tip_deflection=still)], nominal, [], Limits(), clock).parts
+    assert part.channels == ("film_resistance",)
 
 
 def test_a_deflection_in_a_smaller_unit_does_not_stand_still() -> None:

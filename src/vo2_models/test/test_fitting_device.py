@@ -1,5 +1,6 @@
 """The whole fit on simulated devices it shares no hysteresis law with, judged on a sequence it has not seen."""
 
+import os
 import threading
 
 import numpy as np
@@ -197,6 +198,15 @@ def test_problem_is_flat_at_the_neutral_value_and_columns_are_exact(calibrated, 
     first = next(k for k, c in enumerate(many.coordinates) if c.name.startswith("deflection"))
     assert np.all(jacobian[:half, first : first + 10] == 0.0)
     assert np.any(jacobian[half:, first : first + 10] != 0.0)
+
+
+@pytest.mark.parametrize(("given", "cores"), [("1", 1), ("3", 3), ("", None), ("0", None), ("two", None)])
+def test_the_environment_may_say_how_many_cores_a_process_takes(monkeypatch, recwarn, given, cores):
+    monkeypatch.setenv("VO2_CORES", given)
+    assert parallel._cores() == (cores or min(len(os.sched_getaffinity(0)), 8))
+    assert [str(one.message)[:16] for one in recwarn] == (
+        ["VO2_CORES: found"] if given in ("0", "two") else []
+    )
 
 
 def test_problem_refuses_unknown_names(calibrated):

@@ -78,7 +78,9 @@ def test_a_law_that_does_not_exist_is_told():
         fit_loop_law("magic", np.arange(9.0), np.arange(9.0), np.zeros(9, dtype=np.int64))
 
 
-@pytest.mark.parametrize("law", [pytest.param("preisach", marks=pytest.mark.slow), "cs", "limiting_loop"])
+@pytest.mark.parametrize(
+    "law", [*(pytest.param(one, marks=pytest.mark.slow) for one in ("preisach", "cs")), "limiting_loop"]
+)
 def test_a_device_is_fitted_with_another_law(law, tmp_path):
     steps = 40
     k = np.arange(steps)

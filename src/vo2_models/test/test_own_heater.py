@@ -74,7 +74,9 @@ def file_of(folder, unit: str, body: dict) -> str:
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-@pytest.mark.parametrize(("unit", "gain"), [("A", GAIN), ("V", 4.0 * GAIN)])
+@pytest.mark.parametrize(
+    ("unit", "gain"), [("A", GAIN), pytest.param("V", 4.0 * GAIN, marks=pytest.mark.slow)]
+)
 def test_the_power_in_the_wire_is_what_heats_it(tmp_path, unit, gain):
     volt = unit == "V"
     calibration = wire(loops(), volt=volt, seed=1)

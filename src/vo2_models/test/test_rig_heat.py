@@ -122,15 +122,9 @@ def _recording(height: float, heat: str, share: float) -> Recording:
     return Recording(DT * np.arange(drive.size), {HEATER_CURRENT: drive, RESISTANCE: ohm}, "film_3")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("heat", "share"),
-    [
-        ("film", 0.4),
-        *(
-            pytest.param(*one, marks=pytest.mark.slow)
-            for one in (("none", 0.4), ("heater", 0.4), ("none", 0.0), ("film", 0.0))
-        ),
-    ],
+    ("heat", "share"), [("film", 0.4), ("none", 0.4), ("heater", 0.4), ("none", 0.0), ("film", 0.0)]
 )
 def test_own_heat_is_found_where_it_is_and_not_where_it_is_not(heat, share):
     """Pulses of three heights calibrate, one between them is predicted."""

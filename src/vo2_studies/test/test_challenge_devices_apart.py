@@ -55,7 +55,7 @@ def test_a_room_far_off_is_found():
         # a drift with any course fits as well, for 24 parameters more
         pytest.param(3, "source_compression", marks=pytest.mark.slow),
         # which does not move from day to day
-        (19, "dead_time"),
+        pytest.param(19, "dead_time", marks=pytest.mark.slow),
     ],
 )
 def test_one_effect_is_told_alone(index, name):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, cholesky, cholesky_banded, solve_banded, solve_triangular
+from scipy.linalg import cholesky_banded, solve_banded, solve_triangular
 from scipy.linalg.lapack import dpstrf, dtrtri
 
 from vo2_models.device import preset
@@ -32,6 +32,8 @@ FORGIVEN = 0.1
 """Share of a channel's range by which the prior lets the loop's shape be off where no calibration says more."""
 STRETCHES = 6
 """Stretches of the calibration that are left out in turn."""
+_LEAST_FREE = 1e-12
+"""Least eigenvalue of I - H, see `_left_out_each`: far above rounding, far below what a calibration leaves."""
 
 
 class _Kind(NamedTuple):
@@ -191,7 +193,7 @@ def _loop_shape(nominal: Nominal, channel: str, chosen: LoopShape | None) -> Loo
     basis, digest = basis_of(nominal.model), nominal.digest
     if digest is None:
         return _prior_shape(nominal, channel, basis)
-    wide = replace(basis, local=LOCAL)
+    wide = replace(basis, local=LOCAL) if chosen is None else chosen.basis
     size = _size_along(nominal, channel, digest.temperature)
     evidence = _Evidence(digest, nominal.noise[channel], channel, wide, nominal.span[channel], size)
     if chosen is not None:
@@ -277,17 +279,23 @@ class _Evidence:
         low, high = basis.centre_degc
         self._inside = (self._middle > low) & (self._middle < high)
         self._known: dict[_Kind, _Whitened] = {}
+        self._fits: dict[tuple[_Kind, EnrichmentBasis], _Fit] = {}
 
     def of(self, kind: _Kind, basis: EnrichmentBasis) -> _Fit:
         """Return the evidence of a kind of misfit and a basis."""
+        known = self._fits.get((kind, basis))
+        if known is not None:
+            return known
         white = self._whitened(kind)
         own, scale = self._columns(basis), self._scale(basis)
-        precision = white.gram[np.ix_(own, own)] * np.outer(scale, scale)
+        precision = white.gram[np.ix_(own, own)]
+        precision *= scale
+        precision *= scale[:, None]
         precision[np.diag_indices_from(precision)] += kind.size**-2
-        factor = cholesky(precision, lower=True, overwrite_a=True, check_finite=False)
+        factor: Floats = np.linalg.cholesky(precision)
         half = solve_triangular(factor, scale * white.right[own], lower=True, check_finite=False)
         score = -0.5 * (white.energy - float(half @ half)) - float(np.sum(np.log(np.diag(factor))))
-        return _Fit(score, kind, basis, factor)
+        return self._fits.setdefault((kind, basis), _Fit(score, kind, basis, factor))
 
     def of_stretches(self, kind: _Kind, basis: EnrichmentBasis) -> float:
         """Return the logarithm of the probability of each stretch of the calibration given the others, summed."""
@@ -377,20 +385,22 @@ def _left_out(columns: Floats, target: Floats, count: Floats) -> float:
 
 
 def _left_out_each(columns: Floats, target: Floats) -> Iterator[tuple[slice, float, float]]:
-    """Each stretch, its chi-square given the others, and the logarithm of the determinant of I + W_k P^-1 W_k'."""
+    """Each stretch, its chi-square given the others, and the logarithm of the determinant of I + W_k P^-1 W_k'.
+
+    One factor serves all of them. With A = W'W + I and m of all stretches, and H = W_k A^-1 W_k', Woodbury's identity gives
+    I + W_k P^-1 W_k' = (I - H)^-1, and what the others leave of the stretch is (I - H)^-1 (y_k - W_k m).
+    """
     edges = np.linspace(0, target.size, STRETCHES + 1).astype(int)
-    pieces = [slice(a, b) for a, b in pairwise(edges)]
-    grams = [columns[piece].T @ columns[piece] for piece in pieces]
-    rights = [columns[piece].T @ target[piece] for piece in pieces]
-    gram, right = np.sum(grams, axis=0) + np.eye(columns.shape[1]), np.sum(rights, axis=0)
-    for piece, own, ours in zip(pieces, grams, rights, strict=True):
-        factor = cho_factor(gram - own, lower=True, check_finite=False)
-        left = target[piece] - columns[piece] @ cho_solve(factor, right - ours, check_finite=False)
-        spread = columns[piece] @ cho_solve(factor, columns[piece].T, check_finite=False)
-        spread[np.diag_indices_from(spread)] += 1.0
-        root = cho_factor(spread, lower=True)
-        chi_square = float(left @ cho_solve(root, left, check_finite=False))
-        yield piece, chi_square, 2.0 * float(np.sum(np.log(np.diag(root[0]))))
+    gram = columns.T @ columns
+    gram[np.diag_indices_from(gram)] += 1.0
+    factor = np.linalg.cholesky(gram)
+    half = solve_triangular(factor, columns.T, lower=True, check_finite=False)
+    left = target - half.T @ (half @ target)
+    for piece in (slice(a, b) for a, b in pairwise(edges)):
+        taken, direction = np.linalg.eigh(half[:, piece].T @ half[:, piece])
+        # what only this stretch determines leaves 1 - H next to nothing, and rounding may make it less
+        free = np.maximum(1.0 - taken, _LEAST_FREE)
+        yield piece, float(np.sum((direction.T @ left[piece]) ** 2 / free)), -float(np.sum(np.log(free)))
 
 
 def _size_along(nominal: Nominal, channel: str, ends: Floats) -> Floats:

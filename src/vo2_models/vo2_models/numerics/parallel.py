@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -11,7 +12,21 @@ __all__ = ["parallel_map", "use_cores"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-CORES = min(os.cpu_count() or 1, 8)
+_VARIABLE = "VO2_CORES"
+
+
+def _cores() -> int:
+    """Cores of a process at its start: those it may run on, eight at most, or as many as the environment says."""
+    own = min(len(os.sched_getaffinity(0)), 8)
+    given = os.environ.get(_VARIABLE, "")
+    if given.isdecimal() and int(given):
+        return int(given)
+    if given:
+        warnings.warn(f"{_VARIABLE}: found {given!r}, need a whole number from 1; taking {own}", stacklevel=2)
+    return own
+
+
+CORES = _cores()
 
 
 def use_cores(count: int) -> None:
