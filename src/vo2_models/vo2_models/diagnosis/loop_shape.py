@@ -292,7 +292,7 @@ class _Evidence:
         precision *= scale
         precision *= scale[:, None]
         precision[np.diag_indices_from(precision)] += kind.size**-2
-        factor: Floats = np.linalg.cholesky(precision)
+        factor = np.asarray(np.linalg.cholesky(precision), np.float64)
         half = solve_triangular(factor, scale * white.right[own], lower=True, check_finite=False)
         score = -0.5 * (white.energy - float(half @ half)) - float(np.sum(np.log(np.diag(factor))))
         return self._fits.setdefault((kind, basis), _Fit(score, kind, basis, factor))
