@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from own_devices import STACK_TO_10_V as DEVICE
 from vo2_models.device.description import preset
-from vo2_models.diagnosis import report
+from vo2_models.diagnosis import pipeline, report
 from vo2_models.diagnosis import search as third_stage
 from vo2_models.diagnosis.adequacy import Adequacy
 from vo2_models.diagnosis.check import Unusable
@@ -104,14 +104,62 @@ def test_many_constants_far_off_at_once_raise_the_question_of_another_device(
     assert ("is it a recording of another device?" in said) is asked
 
 
-def test_one_of_two_that_is_less_likely_than_not_is_doubted(found, monkeypatch):
-    def doubted(first, second):
-        monkeypatch.setattr(report, "_candidates", lambda study: ([], {"a": first, "b": second}))
-        chosen = SimpleNamespace(keys=("a", "b"))
-        return report.doubts_one_of_two(replace(found, decision=replace(found.decision, chosen=chosen)))
+@pytest.fixture
+def of_two(found, monkeypatch):
+    """A study whose answer is a and b, from the weights of pairs; b and lag are of a sensor, clock of its clock."""
+    families = {"a": "film", "b": "sensor:x", "lag": "sensor:x", "clock": "clock:x", "heat": "heat"}
+    candidates = tuple(
+        SimpleNamespace(key=key, signal="", record=SimpleNamespace(family=lambda s, own=own: own))
+        for key, own in families.items()
+    )
 
-    assert doubted(0.9, 0.45) and not doubted(0.9, 0.55)
+    def answer(weights):
+        pairs = [SimpleNamespace(keys=("a", other)) for other in weights]
+        told = (pairs, [0.0] * len(pairs), np.array(list(weights.values())))
+        monkeypatch.setattr(report, "_explanations", lambda study: told)
+        monkeypatch.setattr(report, "_something_else", lambda study: 0.1)
+        decision = replace(found.decision, chosen=SimpleNamespace(keys=("a", "b")))
+        return replace(found, decision=decision, search=replace(found.search, candidates=candidates))
+
+    return answer
+
+
+def test_one_of_two_that_is_less_likely_than_not_is_doubted(found, of_two):
+    doubted = of_two({"b": 0.5, "heat": 0.5})
+    assert report.doubts_one_of_two(doubted) and report.one_of_family(doubted) == {}
+    named = of_two({"b": 0.6, "heat": 0.4})
+    assert not report.doubts_one_of_two(named) and report.one_of_family(named) == {}
     assert not report.doubts_one_of_two(found)
+
+
+def test_one_of_two_that_its_family_may_replace_is_told_as_one_of_them(of_two):
+    answer = of_two({"b": 0.2, "lag": 0.45, "clock": 0.3, "heat": 0.05})
+    assert not report.doubts_one_of_two(answer)
+    assert report.one_of_family(answer) == {"b": ("lag", "clock", "b")}
+    assert not report.unlikely(with_body(answer))
+
+
+@pytest.mark.parametrize(("in_the_second", "acts"), [(30.0, True), (20.0, False), (-5.0, False)])
+def test_a_second_effect_acts_in_each_recording_where_it_explains_a_part_of_each(found, in_the_second, acts):
+    def option(keys, *by_part):
+        final = SimpleNamespace(residual=np.zeros(2), chi_square_by_part=lambda vector: np.array(by_part))
+        return SimpleNamespace(
+            chosen=SimpleNamespace(keys=keys, deviation=np.zeros(2), courses={}), final=final
+        )
+
+    both, alone = option(("a", "b"), 900.0, 1000.0), option(("b",), 2000.0, 1000.0 + in_the_second)
+    other = option(("c",), 5000.0, 5000.0)
+    searched = replace(found.search, options=(both, alone, other))
+    answer = replace(found, search=searched, decision=replace(found.decision, chosen=both.chosen))
+    assert pipeline._acts_in_each(answer) is acts
+    assert not pipeline._acts_in_each(replace(answer, search=replace(searched, options=(both, other))))
+    assert not pipeline._acts_in_each(replace(answer, decision=replace(answer.decision, chosen=alone.chosen)))
+
+
+def test_recordings_share_a_chi_square(found):
+    problem = found.located.problem
+    parts = problem.chi_square_by_part(problem.residual)
+    assert parts.shape == (1,) and parts[0] == pytest.approx(problem.residual_chi_square)
 
 
 @pytest.mark.parametrize(

@@ -167,6 +167,7 @@ def _judged(
     problem = located.problem
     rivals, remaining = found.singles, located.total_excess
     judgements: list[Adequacy] = []
+    pairs: list[_Verdict] = []
     shown = 0.0
     alone = _moved_alone(located, limits, first_use=first_use) if located.own_misfit else None
     for option in found.options:
@@ -178,6 +179,9 @@ def _judged(
         judgements.append(adequacy)
         shown = max(shown, adequacy.share, judged.share)
         admissible = _is_admissible(option, judged, adequacy, limits)
+        doubted = shows and not admissible and len(option.chosen.keys) > 1
+        if doubted and _is_admissible(option, judged, adequacy, limits, limits.likelier):
+            pairs.append(_Verdict(option, judged, option.rivals, option.remaining, adequacy, shown))
         equivalent: tuple[str, ...] = ()
         ahead = False
         if located.own_misfit:
@@ -192,7 +196,8 @@ def _judged(
         # with a body an effect in the place of constants is judged by itself, below
         hidden = found.hidden and not located.nominal.model.description.has_body
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
-            return _Verdict(option, judged, rivals, remaining, adequacy, shown, equivalent, ahead)
+            verdict = _Verdict(option, judged, rivals, remaining, adequacy, shown, equivalent, ahead)
+            return _with_its_second(verdict, pairs, limits)
     if not located.own_misfit:
         alone = _moved_alone(located, limits, first_use=first_use)
     if found.held is not None and alone is None:
@@ -205,12 +210,28 @@ def _judged(
         if _is_admissible(option, judged, adequacy, limits) and judged.share > limits.share:
             alone = _moved_alone(located, limits, first_use=first_use, held=found.held)
             if alone is None:
-                return _Verdict(
+                verdict = _Verdict(
                     option, judged, option.rivals, option.remaining, adequacy, shown, held=found.held
                 )
+                return _with_its_second(verdict, pairs, limits)
     likeliest = min(judgements, key=lambda one: one.something_else(limits), default=None)
     nothing = held_out(problem, None, limits, folds=folds)
     return _Verdict(None, nothing, rivals, remaining, likeliest, shown, alone=alone)
+
+
+def _with_its_second(single: _Verdict, pairs: Sequence[_Verdict], limits: Limits) -> _Verdict:
+    """The two that are likelier than not, one of them sure by itself, where the second explains most of what that one leaves."""
+    of = single.option
+    if of is None or len(of.chosen.keys) > 1:
+        return single
+    larger = [
+        pair
+        for pair in pairs
+        if pair.option is not None
+        and set(of.chosen.keys) < set(pair.option.chosen.keys)
+        and pair.remaining < limits.most_of_it * of.remaining
+    ]
+    return min(larger, key=lambda pair: pair.remaining, default=single)
 
 
 def _named(
@@ -389,18 +410,31 @@ def _mimics_of_constants(
     return tuple(h for gain, h in gains.values() if gain > max(limits.mimic * best, limits.faint))[:4]
 
 
-def _is_admissible(option: Option, judged: HeldOut, adequacy: Adequacy, limits: Limits) -> bool:
-    """Whether an explanation is significant, stable, adequate, physical, harms no channel, and ends flat what it cuts off."""
+def _is_admissible(
+    option: Option, judged: HeldOut, adequacy: Adequacy, limits: Limits, doubt: float = 0.0
+) -> bool:
+    """Whether an explanation is significant, stable, adequate, physical, harms no channel, and ends flat what it cuts off.
+
+    `doubt` is the probability of something else that is too much, by default that of the limits.
+    """
     chosen = option.chosen
     return (
         _significant(chosen, limits)
         and judged.stable
-        and adequacy.something_else(limits) < limits.doubt
+        and adequacy.something_else(limits) < (doubt or limits.doubt)
         and adequacy.elsewhere < limits.elsewhere
+        and not _like_the_rest(option, adequacy, limits)
         and not chosen.at_bound
         and not _worsens(option, judged)
         and ends_flat(option, limits)
     )
+
+
+def _like_the_rest(option: Option, adequacy: Adequacy, limits: Limits) -> bool:
+    """Whether a channel may be off by as little without a reason, and one that the explanation leaves alone is by more."""
+    samples = sum(option.final.count_by_channel[channel] for channel in reached(option))
+    explained = max(option.chosen.gain, 0.0) / max(samples, 1.0)
+    return explained < limits.channel_excess and adequacy.elsewhere > explained
 
 
 def _worsens(option: Option, judged: HeldOut) -> bool:

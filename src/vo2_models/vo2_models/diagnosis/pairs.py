@@ -282,7 +282,9 @@ def _joined(
     def finished(joint: Explanation) -> Explanation:
         if joint.chi_square > halfway:  # those that may be the answer, or its rivals, to the end
             return joint
-        return fit_jointly(about, joint.hypotheses, joint.values, limits, iterations=8, tick=tick)
+        joint = fit_jointly(about, joint.hypotheses, joint.values, limits, iterations=8, tick=tick)
+        # scores do not see what happens between samples, which is what the alternatives differ by
+        return either_way(about, joint, limits, tick=tick) if joint.hypotheses[-1].choices else joint
 
     joints = parallel_map(finished, joints)
     return sorted((j for j in joints if not j.at_bound), key=lambda e: e.chi_square)

@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from vo2_models.diagnosis.check import Unusable
@@ -211,6 +212,23 @@ def _holds_in_all(answer: Study) -> bool:
     return chosen is not None and not any(key in chosen.courses for key in chosen.keys)
 
 
+def _acts_in_each(together: Study) -> bool:
+    """Whether the second of two effects that all recordings show together explains a part of each.
+
+    A short recording, or a smooth one, may not show it by itself; that is no reason to take it for one of the others alone.
+    """
+    chosen = together.decision.chosen
+    if chosen is None or len(chosen.keys) < 2 or not _holds_in_all(together):
+        return False
+    left = {
+        frozenset(o.chosen.keys): o.final.chi_square_by_part(o.final.residual - o.chosen.deviation)
+        for o in together.search.options
+    }
+    alone = [chi for keys, chi in left.items() if len(keys) == 1 and keys < set(chosen.keys)]
+    both = left.get(frozenset(chosen.keys))
+    return both is not None and any(bool(np.all(chi - both > together.limits.rival)) for chi in alone)
+
+
 def _day_by_day(
     together: Study, recordings: Sequence[Recording], nominal: Nominal, limits: Limits, clock: Clock
 ) -> Study:
@@ -235,7 +253,7 @@ def _day_by_day(
         reading = read([recording], nominal, [part.name], limits, clock)
         begun.append((reading, locate(reading, limits, clock)))
     loud = [k for k, (reading, located) in enumerate(begun) if reading.evident or located.is_loud(limits)]
-    if any(k < first for k in loud):
+    if any(k < first for k in loud) or (len(loud) == len(parts) and _acts_in_each(together)):
         return together
 
     def by_themselves(which: Sequence[int]) -> dict[int, Study]:

@@ -270,6 +270,13 @@ class LinearisedProblem:
         inner = self.nuisance.against(vector) if against is None else against
         return float(vector @ vector - inner @ self.nuisance_weights(inner))
 
+    def chi_square_by_part(self, vector: Floats) -> Floats:
+        """What each recording has of the chi-square of a whitened vector, (number of recordings,)."""
+        left, found = self.apply_inverse_covariance(vector), np.zeros(len(self.parts))
+        for row in self.rows:
+            found[row.part] += float(vector[row.where] @ left[row.where])
+        return found
+
     def chi_squares(self, columns: Floats) -> Floats:
         """Chi-square of each of the whitened columns (N, m)."""
         inner = self.nuisance.against(columns)

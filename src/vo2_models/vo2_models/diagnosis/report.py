@@ -86,7 +86,7 @@ def assemble_diagnosis(study: Study) -> Diagnosis:
     candidates, probability = _candidates(study) if decision.verdict == "differs" else ([], {})
     effects = _named(study, probability) if decision.verdict == "differs" else []
     if decision.equivalent:
-        effects = [_one_of(study, effects[0])]
+        effects = [_one_of(study, effects[0], decision.equivalent, 1.0 - _something_else(study))]
     shown = [_shown(study, evident) for evident in study.shown]
     candidates = [*(_seen(study, evident) for evident in study.shown), *candidates]
     pairs = [list(pair) for pair in decision.rival_pairs]
@@ -472,16 +472,14 @@ def excess_by_channel(study: Study) -> list[Breakdown]:
     return found
 
 
-def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
-    """Candidates with probabilities, and the probability of each key."""
+def _explanations(study: Study) -> tuple[list[Explanation], list[float], Floats]:
+    """The answer and its rivals, the chi-square of each, and their weights beside each other, which sum to one."""
     everyone = list(study.decision.rivals)
     if study.decision.chosen is not None:
         everyone = [
             study.decision.chosen,
             *(r for r in everyone if set(r.keys) != set(study.decision.chosen.keys)),
         ]
-    if not everyone:
-        return [], {}
     # about the best explanation chi-square is lower than about the nominal simulation: compare like with like
     chi = [e.chi_square for e in everyone]
     if study.decision.chosen is not None:
@@ -490,7 +488,14 @@ def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
             chi[0] = (
                 min(chi[0], same[0].chi_square) if len(study.decision.chosen.keys) > 1 else same[0].chi_square
             )
-    weights = _weights(study, everyone, chi)
+    return everyone, chi, _weights(study, everyone, chi) if everyone else np.zeros(0)
+
+
+def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
+    """Candidates with probabilities, and the probability of each key."""
+    everyone, _, weights = _explanations(study)
+    if not everyone:
+        return [], {}
     otherwise = _something_else(study)
     certain = 1.0 - otherwise
     by_key: dict[str, float] = {}
@@ -586,18 +591,80 @@ def equally_likely(study: Study) -> tuple[str, ...]:
     return tuple(most) if len({key.partition(":")[0] for key in most}) > 1 and chosen.keys[0] in most else ()
 
 
+def _in_its_place(study: Study, key: str) -> dict[str, float]:
+    """Probability of each effect of one family in the place of one of two that are named together, whatever the other is.
+
+    What a channel's sensor and its clock do is one family here.
+
+    Parameters
+    ----------
+    study : whose answer is two effects
+    key : of one of them
+    """
+    every = {h.key: h for h in study.search.candidates}
+    own = {name: every[name].record.family(every[name].signal).replace("clock:", "sensor:") for name in every}
+    (beside,) = (other for other in study.decision.chosen.keys if other != key)  # type: ignore[union-attr]
+    everyone, _, weights = _explanations(study)
+    found: dict[str, float] = {}
+    for explanation, weight in zip(everyone, weights, strict=True):
+        same = [other for other in explanation.keys if own[other] == own[key] and other != beside]
+        if same:
+            found[same[0]] = found.get(same[0], 0.0) + float(weight) * (1.0 - _something_else(study))
+    return found
+
+
+def one_of_family(study: Study) -> dict[str, tuple[str, ...]]:
+    """Return which of two effects that are named together is but one of its family, and the fewest that hold most of its place.
+
+    Parameters
+    ----------
+    study : what the stages found
+
+    Returns
+    -------
+    key of the effect -> keys of those of which it is one, likeliest first; empty where each of the two has a name
+    """
+    chosen = study.decision.chosen
+    if chosen is None or len(chosen.keys) != 2:
+        return {}
+    found = {}
+    for key in chosen.keys:
+        place = _in_its_place(study, key)
+        order = sorted(place, key=lambda name, of=place: -of[name])  # type: ignore[misc]
+        held = np.cumsum([place[name] for name in order])
+        most = order[: int(np.searchsorted(held, study.limits.credible * held[-1])) + 1]
+        if (
+            place[key] < study.limits.likelier <= held[-1]
+            and len({name.partition(":")[0] for name in most}) > 1
+        ):
+            found[key] = tuple(most)
+    return found
+
+
+def _likelihood_of_each(study: Study) -> list[float]:
+    """Probability of each effect that is named; of two, that of its family in its place beside the other."""
+    chosen = study.decision.chosen
+    if chosen is not None and len(chosen.keys) == 2:
+        return [sum(_in_its_place(study, key).values()) for key in chosen.keys]
+    probability = _candidates(study)[1]
+    return [probability[key] for key in chosen.keys] if chosen is not None else []
+
+
 def doubts_one_of_two(study: Study) -> bool:
     """Return whether one of two effects that are named together is less likely than not: others would do in its place.
+
+    Those of the same family count with it: that something of this kind acts is not in doubt where its members are not told apart.
 
     Parameters
     ----------
     study : what the stages found
     """
     chosen = study.decision.chosen
-    if chosen is None or len(chosen.keys) < 2:
-        return False
-    probability = _candidates(study)[1]
-    return min(probability[key] for key in chosen.keys) < study.limits.likelier
+    return (
+        chosen is not None
+        and len(chosen.keys) > 1
+        and min(_likelihood_of_each(study)) < study.limits.likelier
+    )
 
 
 def unlikely(study: Study) -> bool:
@@ -615,8 +682,7 @@ def unlikely(study: Study) -> bool:
         return False
     if study.decision.equivalent:
         return _something_else(study) >= study.limits.likelier
-    probability = _candidates(study)[1]
-    least = min(probability[key] for key in study.decision.chosen.keys)
+    least = min(_likelihood_of_each(study))
     if not study.located.problem.nominal.model.description.has_body:
         return least <= study.limits.likelier
     return least < _something_else(study)
@@ -801,8 +867,9 @@ def _had_before(study: Study, hypothesis: Hypothesis) -> str:
 
 
 def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
-    found = []
+    found: list[NamedEffect] = []
     if study.decision.chosen is not None:
+        each, sets = [], one_of_family(study)
         for index, hypothesis in enumerate(study.decision.chosen.hypotheses):
             record = hypothesis.record
             parameters = {}
@@ -815,46 +882,46 @@ def _named(study: Study, probability: dict[str, float]) -> list[NamedEffect]:
                 form = 0.0 if unit == CHOICE else MODEL_DISCREPANCY[record.stage]
                 spread = float(np.hypot(study.decision.chosen.std(index, name), form * value))
                 parameters[name] = Estimate(float(value), spread, unit)
-            found.append(
-                NamedEffect(
-                    record.id,
-                    float(np.clip(probability.get(hypothesis.key, 1.0), 0.0, 1.0)),
-                    record.statement + _had_before(study, hypothesis),
-                    record.equation,
-                    parameters,
-                    hypothesis.signal or None,
-                    record.family(hypothesis.signal),
-                    _form(study, hypothesis, study.decision.chosen, index),
-                    [theirs for ours, theirs in study.decision.rival_pairs if ours == record.id],
-                )
+            effect = NamedEffect(
+                record.id,
+                float(np.clip(probability.get(hypothesis.key, 1.0), 0.0, 1.0)),
+                record.statement + _had_before(study, hypothesis),
+                record.equation,
+                parameters,
+                hypothesis.signal or None,
+                record.family(hypothesis.signal),
+                _form(study, hypothesis, study.decision.chosen, index),
+                [theirs for ours, theirs in study.decision.rival_pairs if ours == record.id],
             )
+            if hypothesis.key in sets:
+                place = _in_its_place(study, hypothesis.key)
+                effect = _one_of(study, effect, sets[hypothesis.key], sum(place.values()))
+            each.append((hypothesis.key, effect))
         # of two that are equally sure, the one first that explains more by itself
         alone = {e.keys[0]: e.gain for e in study.search.singles}
-        keys = {(h.record.id, h.signal or None): h.key for h in study.decision.chosen.hypotheses}
-        found.sort(key=lambda e: (-round(e.probability, 2), -alone.get(keys[e.id, e.signal], 0.0)))
+        each.sort(key=lambda one: (-round(one[1].probability, 2), -alone.get(one[0], 0.0)))
+        found = [effect for _, effect in each]
     if study.decision.unnamed is not None or not found:
         found.append(_unknown(study))
     return found
 
 
-def _one_of(study: Study, best: NamedEffect) -> NamedEffect:
+def _one_of(study: Study, best: NamedEffect, keys: Sequence[str], probability: float) -> NamedEffect:
     """The answer where several effects explain the recordings equally well: their family, without a name, and all of them.
 
     The family is that of most of them, of equally many that of the best. Of one loop and its sensor no structure and no film
     can be told: what is theirs is the sensor's, see `families.OF_ONE_LOOP`.
     """
     every = {h.key: h for h in study.search.candidates}
-    families = [
-        every[key].record.family(every[key].signal) for key in study.decision.equivalent if key in every
-    ]
-    equivalent = _ids(study.decision.equivalent)
+    families = [every[key].record.family(every[key].signal) for key in keys if key in every]
+    equivalent = _ids(keys)
     if study.located.problem.nominal.model.description.is_one_loop:
         excess = study.located.excess
         sensor = f"sensor:{max(excess, key=lambda channel: excess[channel])}"
         families = [sensor if family in ("structure", "film") else family for family in families]
     return NamedEffect(
         "unknown",
-        1.0 - _something_else(study),
+        probability,
         f"One of {', '.join(equivalent)}: these recordings do not tell which it is. The probability is that of all of them "
         "together; that of something else, which is in no catalogue, stands among the candidates as unknown. "
         f"The corrected model carries {best.id}, which stands for all of them.",
@@ -1242,7 +1309,12 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
             f"{head} Left out: one of {', '.join(effects[0].siblings)}; these recordings do not tell which. Most of them are "
             f"of the family {family}.{tail}"
         )
-    names = [e.id + (f" on {e.signal}" if e.signal else "") for e in effects if e.id != "unknown"]
+    names = [
+        (f"one of {', '.join(e.siblings)}" if e.id == "unknown" else e.id)
+        + (f" on {e.signal}" if e.signal else "")
+        for e in effects
+        if e.id != "unknown" or e.siblings
+    ]
     if not names:
         share = decision.unnamed.share if decision.unnamed else 0.0
         if share < study.limits.share:
