@@ -156,6 +156,26 @@ def test_a_second_effect_acts_in_each_recording_where_it_explains_a_part_of_each
     assert not pipeline._acts_in_each(replace(answer, decision=replace(answer.decision, chosen=alone.chosen)))
 
 
+@pytest.mark.parametrize(
+    ("share", "sigmas", "near"), [(0.92, 30.0, True), (0.3, 30.0, False), (0.92, 5.0, False)]
+)
+def test_what_surely_explains_most_is_said_where_nothing_is_named(found, share, sigmas, near):
+    adequacy = Adequacy(("creep", "sensor_lag:x"), share, 2.0, sigmas)
+    said = report._nearest_name(replace(found, decision=replace(found.decision, adequacy=adequacy)))
+    assert said.startswith("No name is sure: creep with sensor_lag would explain 92 %") is near
+    assert (said == "Nothing known explains it") is not near
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [(("b", "lag"), "All are"), (("b", "lag", "heat"), "Most are"), (("b", "heat"), "The likeliest is")],
+)
+def test_how_many_of_a_set_are_of_its_family_is_said(of_two, keys, said):
+    answer = with_body(of_two({"b": 1.0}))
+    answer = replace(answer, decision=replace(answer.decision, equivalent=keys))
+    assert report._share_of_family(answer, "sensor:x") == said
+
+
 def test_recordings_share_a_chi_square(found):
     problem = found.located.problem
     parts = problem.chi_square_by_part(problem.residual)

@@ -363,6 +363,27 @@ def _sure(study: Study) -> list[str]:
     ]
 
 
+def _nearest_name(study: Study) -> str:
+    """What is said where nothing is named: what would explain most of it, if anything surely does."""
+    found, limits = study.decision.adequacy, study.limits
+    if found is None or found.share < limits.most_of_it or not limits.sure < found.sigmas < np.inf:
+        return "Nothing known explains it"
+    names = " with ".join(key.partition(":")[0] for key in found.keys)
+    return (
+        f"No name is sure: {names} would explain {100 * found.share:.0f} % of the excess, by {found.sigmas:.0f} standard "
+        "deviations, but leaves more than a name may"
+    )
+
+
+def _share_of_family(study: Study, family: str) -> str:
+    """How many of a set are of its family, in words."""
+    families = _families_of(study, study.decision.equivalent)
+    own = families.count(family)
+    if own == len(families):
+        return "All are"
+    return "Most are" if own > study.limits.likelier * len(families) else "The likeliest is"
+
+
 def _excess(study: Study) -> dict[str, float]:
     return {
         **{c: float(v) for c, v in study.located.excess.items()},
@@ -912,13 +933,7 @@ def _one_of(study: Study, best: NamedEffect, keys: Sequence[str], probability: f
     The family is that of most of them, of equally many that of the best. Of one loop and its sensor no structure and no film
     can be told: what is theirs is the sensor's, see `families.OF_ONE_LOOP`.
     """
-    every = {h.key: h for h in study.search.candidates}
-    families = [every[key].record.family(every[key].signal) for key in keys if key in every]
-    equivalent = _ids(keys)
-    if study.located.problem.nominal.model.description.is_one_loop:
-        excess = study.located.excess
-        sensor = f"sensor:{max(excess, key=lambda channel: excess[channel])}"
-        families = [sensor if family in ("structure", "film") else family for family in families]
+    families, equivalent = _families_of(study, keys), _ids(keys)
     return NamedEffect(
         "unknown",
         probability,
@@ -932,6 +947,17 @@ def _one_of(study: Study, best: NamedEffect, keys: Sequence[str], probability: f
         "one of several",
         equivalent,
     )
+
+
+def _families_of(study: Study, keys: Sequence[str]) -> list[str]:
+    """Families of effects; of one loop and its sensor what would be a structure's or a film's is the sensor's."""
+    every = {h.key: h for h in study.search.candidates}
+    families = [every[key].record.family(every[key].signal) for key in keys if key in every]
+    if study.located.problem.nominal.model.description.is_one_loop:
+        excess = study.located.excess
+        sensor = f"sensor:{max(excess, key=lambda channel: excess[channel])}"
+        families = [sensor if family in ("structure", "film") else family for family in families]
+    return families
 
 
 def course_of(study: Study, chosen: Explanation, index: int) -> tuple[list[Floats], str]:
@@ -1306,8 +1332,8 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     tail = f" {lead}: {moved}." if moved else ""
     if decision.equivalent:
         return (
-            f"{head} Left out: one of {', '.join(effects[0].siblings)}; these recordings do not tell which. Most of them are "
-            f"of the family {family}.{tail}"
+            f"{head} Left out: one of {', '.join(effects[0].siblings)}; these recordings do not tell which. "
+            f"{_share_of_family(study, family)} of the family {family}.{tail}"
         )
     names = [
         (f"one of {', '.join(e.siblings)}" if e.id == "unknown" else e.id)
@@ -1319,12 +1345,12 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
         share = decision.unnamed.share if decision.unnamed else 0.0
         if share < study.limits.share:
             return (
-                f"{head} Nothing known explains it, and no smooth function of time, temperature, rate, current or memory "
+                f"{head} {_nearest_name(study)}, and no smooth function of time, temperature, rate, current or memory "
                 f"predicts {100 * study.limits.share:.0f} % of it on blocks that it was not fitted on: loops the law misses, "
                 f"what is not in these recordings, another device, or noise of the rig.{tail}"
             )
         return (
-            f"{head} Nothing known explains it; it acts in the family {family}. A correction without a name "
+            f"{head} {_nearest_name(study)}; it acts in the family {family}. A correction without a name "
             f"removes {100 * share:.0f} % of the excess{_or_other_device(study, share)}.{tail}"
         )
     whole = _judged_against(study)
