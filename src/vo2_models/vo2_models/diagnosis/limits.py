@@ -198,7 +198,7 @@ class Limits:
     channel_excess: float = _limit(
         1.0,
         "the same of a single channel; there 0.68, 0.64, 0.57, 0.52 and 0.42. What a name explains, below which it "
-        "needs more than is left in a channel that it does not reach: one looked-at unchanged device in another room, 0.29 and 0.84",
+        "needs more than is left in a channel that it does not reach: an unchanged device in another room, 0.29 and 0.84",
     )
     loud_misfit: float = _limit(
         5.0,
