@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from own_devices import STACK_TO_10_V as DEVICE
 from vo2_models.device.description import preset
-from vo2_models.diagnosis import pipeline, report
+from vo2_models.diagnosis import decide, pipeline, report
 from vo2_models.diagnosis import search as third_stage
 from vo2_models.diagnosis.adequacy import Adequacy
 from vo2_models.diagnosis.check import Unusable
+from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.nuisance import from_beyond
 from vo2_models.diagnosis.pipeline import study
 from vo2_models.diagnosis.progress import Clock
@@ -115,7 +116,7 @@ def of_two(found, monkeypatch):
 
     def answer(weights):
         pairs = [SimpleNamespace(keys=("a", other)) for other in weights]
-        told = (pairs, [0.0] * len(pairs), np.array(list(weights.values())))
+        told = (pairs, np.array(list(weights.values())))
         monkeypatch.setattr(report, "_explanations", lambda study: told)
         monkeypatch.setattr(report, "_something_else", lambda study: 0.1)
         decision = replace(found.decision, chosen=SimpleNamespace(keys=("a", "b")))
@@ -174,6 +175,31 @@ def test_how_many_of_a_set_are_of_its_family_is_said(of_two, keys, said):
     answer = with_body(of_two({"b": 1.0}))
     answer = replace(answer, decision=replace(answer.decision, equivalent=keys))
     assert report._share_of_family(answer, "sensor:x") == said
+
+
+def verdict(keys, remaining):
+    return SimpleNamespace(
+        option=SimpleNamespace(chosen=SimpleNamespace(keys=keys), remaining=remaining), remaining=remaining
+    )
+
+
+def test_a_name_takes_a_second_with_it_that_explains_most_of_what_it_leaves():
+    single, limits = verdict(("a",), 4.0), Limits()
+    most, little, others = verdict(("a", "b"), 1.0), verdict(("a", "c"), 3.0), verdict(("b", "c"), 0.5)
+    assert decide._with_its_second(single, [little, most, others], limits) is most
+    assert decide._with_its_second(single, [little, others], limits) is single
+    assert decide._with_its_second(others, [most], limits) is others
+
+
+@pytest.mark.parametrize(
+    ("gain", "elsewhere", "like"), [(300.0, 0.8, True), (300.0, 0.2, False), (5000.0, 8.0, False)]
+)
+def test_no_weak_name_beside_more_in_a_channel_that_it_does_not_reach(monkeypatch, gain, elsewhere, like):
+    monkeypatch.setattr(decide, "reached", lambda option: {"x"})
+    final = SimpleNamespace(count_by_channel={"x": 1000.0, "y": 1000.0})
+    option = SimpleNamespace(final=final, chosen=SimpleNamespace(gain=gain))
+    adequacy = Adequacy(("creep",), 1.0, 0.0, 20.0, elsewhere=elsewhere)
+    assert decide._like_the_rest(option, adequacy, Limits()) is like
 
 
 def test_recordings_share_a_chi_square(found):

@@ -493,8 +493,8 @@ def excess_by_channel(study: Study) -> list[Breakdown]:
     return found
 
 
-def _explanations(study: Study) -> tuple[list[Explanation], list[float], Floats]:
-    """The answer and its rivals, the chi-square of each, and their weights beside each other, which sum to one."""
+def _explanations(study: Study) -> tuple[list[Explanation], Floats]:
+    """The answer and its rivals, and their weights beside each other, which sum to one."""
     everyone = list(study.decision.rivals)
     if study.decision.chosen is not None:
         everyone = [
@@ -509,12 +509,12 @@ def _explanations(study: Study) -> tuple[list[Explanation], list[float], Floats]
             chi[0] = (
                 min(chi[0], same[0].chi_square) if len(study.decision.chosen.keys) > 1 else same[0].chi_square
             )
-    return everyone, chi, _weights(study, everyone, chi) if everyone else np.zeros(0)
+    return everyone, _weights(study, everyone, chi) if everyone else np.zeros(0)
 
 
 def _candidates(study: Study) -> tuple[list[Candidate], dict[str, float]]:
     """Candidates with probabilities, and the probability of each key."""
-    everyone, _, weights = _explanations(study)
+    everyone, weights = _explanations(study)
     if not everyone:
         return [], {}
     otherwise = _something_else(study)
@@ -625,12 +625,13 @@ def _in_its_place(study: Study, key: str) -> dict[str, float]:
     every = {h.key: h for h in study.search.candidates}
     own = {name: every[name].record.family(every[name].signal).replace("clock:", "sensor:") for name in every}
     (beside,) = (other for other in study.decision.chosen.keys if other != key)  # type: ignore[union-attr]
-    everyone, _, weights = _explanations(study)
+    everyone, weights = _explanations(study)
     found: dict[str, float] = {}
     for explanation, weight in zip(everyone, weights, strict=True):
-        same = [other for other in explanation.keys if own[other] == own[key] and other != beside]
+        same = [other for other in explanation.keys if own.get(other) == own.get(key) and other != beside]
         if same:
-            found[same[0]] = found.get(same[0], 0.0) + float(weight) * (1.0 - _something_else(study))
+            name = key if key in same else same[0]
+            found[name] = found.get(name, 0.0) + float(weight) * (1.0 - _something_else(study))
     return found
 
 
