@@ -503,7 +503,8 @@ def test_an_excess_far_beyond_the_calibrations_is_not_the_laws(excess, own) -> N
 @pytest.mark.parametrize(("elsewhere", "named"), [(29.0, True), (31.0, False)])
 def test_a_name_that_leaves_another_channel_far_off_is_not_given(monkeypatch, elsewhere, named):
     monkeypatch.setattr(decide, "reached", lambda option: set())
-    option = SimpleNamespace(chosen=SimpleNamespace(hypotheses=(), values=(), at_bound=()), final=None)
+    chosen = SimpleNamespace(hypotheses=(), values=(), at_bound=(), gain=1e4)
+    option = SimpleNamespace(chosen=chosen, final=None)
     adequacy = Adequacy(("sensor_zero_drift:stage_temperature",), 0.6, 0.0, 1e3, elsewhere=elsewhere)
     assert decide._is_admissible(option, SimpleNamespace(stable=True), adequacy, Limits()) == named
 

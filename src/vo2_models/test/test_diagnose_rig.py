@@ -183,13 +183,15 @@ def test_an_excess_that_nothing_predicts_has_no_family(unchanged):
     unnamed = SimpleNamespace(share=0.1)
     decision = replace(unchanged.decision, verdict="differs", chosen=None, unnamed=unnamed)
     told = report._summary(
-        replace(unchanged, decision=decision), [SimpleNamespace(id="unknown", family="heat")], []
+        replace(unchanged, decision=decision), [SimpleNamespace(id="unknown", family="heat", siblings=[])], []
     )
     assert "no smooth function of time, temperature, rate, current or memory predicts 25 %" in told
     assert "heat" not in told
     described = replace(decision, unnamed=SimpleNamespace(share=0.8))
     told = report._summary(
-        replace(unchanged, decision=described), [SimpleNamespace(id="unknown", family="heat")], []
+        replace(unchanged, decision=described),
+        [SimpleNamespace(id="unknown", family="heat", siblings=[])],
+        [],
     )
     assert "it acts in the family heat. A correction without a name removes 80 %" in told
 
