@@ -155,6 +155,8 @@ def test_a_second_effect_acts_in_each_recording_where_it_explains_a_part_of_each
     assert pipeline._acts_in_each(answer) is acts
     assert not pipeline._acts_in_each(replace(answer, search=replace(searched, options=(both, other))))
     assert not pipeline._acts_in_each(replace(answer, decision=replace(answer.decision, chosen=alone.chosen)))
+    both.chosen.hypotheses = (SimpleNamespace(switches=("start", "stop")),)
+    assert not pipeline._acts_in_each(answer)
 
 
 @pytest.mark.parametrize(

@@ -220,6 +220,8 @@ def _acts_in_each(together: Study) -> bool:
     chosen = together.decision.chosen
     if chosen is None or len(chosen.keys) < 2 or not _holds_in_all(together):
         return False
+    if any(h.switches for h in chosen.hypotheses):  # what goes on and off may do so in some
+        return False
     left = {
         frozenset(o.chosen.keys): o.final.chi_square_by_part(o.final.residual - o.chosen.deviation)
         for o in together.search.options
