@@ -144,9 +144,8 @@ def test_one_of_two_that_its_family_may_replace_is_told_as_one_of_them(of_two):
 def test_a_second_effect_acts_in_each_recording_where_it_explains_a_part_of_each(found, in_the_second, acts):
     def option(keys, *by_part):
         final = SimpleNamespace(residual=np.zeros(2), chi_square_by_part=lambda vector: np.array(by_part))
-        return SimpleNamespace(
-            chosen=SimpleNamespace(keys=keys, deviation=np.zeros(2), courses={}), final=final
-        )
+        chosen = SimpleNamespace(keys=keys, deviation=np.zeros(2), courses={}, hypotheses=())
+        return SimpleNamespace(chosen=chosen, final=final)
 
     both, alone = option(("a", "b"), 900.0, 1000.0), option(("b",), 2000.0, 1000.0 + in_the_second)
     other = option(("c",), 5000.0, 5000.0)
