@@ -168,6 +168,11 @@ def test_what_surely_explains_most_is_said_where_nothing_is_named(found, share, 
     assert (said == "Nothing known explains it") is not near
 
 
+@pytest.mark.parametrize(("beyond", "said"), [(0.5, "1.5 times the power of "), (-0.04, "no more than ")])
+def test_a_channel_with_no_more_than_is_expected_is_not_so_many_times_it(found, beyond, said):
+    assert report._times_the_floor(found, beyond) == said + report._floor(found)
+
+
 @pytest.mark.parametrize(
     ("keys", "said"),
     [(("b", "lag"), "All are"), (("b", "lag", "heat"), "Most are"), (("b", "heat"), "The likeliest is")],

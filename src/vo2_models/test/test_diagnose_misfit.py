@@ -12,7 +12,7 @@ from vo2_models.diagnosis.noise import NoiseModel
 from vo2_models.diagnosis.nominal import Nominal, basis_of
 from vo2_models.hysteresis.play_bank import PlayBank
 from vo2_models.identification.digest import CalibrationDigest
-from vo2_models.recording import RESISTANCE, TIP_DEFLECTION
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, TIP_DEFLECTION
 
 
 def _path(rng, n):
@@ -50,6 +50,16 @@ def test_whitening_is_undone_and_misses_no_sample_beside_a_gap(ar):
     np.testing.assert_allclose(gap(values)[:30], whiten(values)[:30], rtol=1e-12)
     without = Whitening.along(temperature, NoiseModel(0.2, ar), weight, NO_MISFIT, inside)
     np.testing.assert_allclose(without(values), NoiseModel(0.2, ar).whiten(values) * weight, rtol=1e-12)
+
+
+def test_what_is_slow_in_a_response_is_told_as_misfit_and_in_a_current_reading_is_not():
+    slow, quick = NoiseModel(1e-3, (0.99,)), NoiseModel(1e-7, (0.3,))
+    noise = {RESISTANCE: slow, TIP_DEFLECTION: quick, HEATER_CURRENT: slow}
+    nominal = Nominal(DeviceModel("integrated"), {}, None, noise)
+    told = nominal.with_slow_misfit_told(3.0).noise
+    assert told == {RESISTANCE: NoiseModel(1e-3), TIP_DEFLECTION: quick, HEATER_CURRENT: slow}
+    fast = replace(nominal, noise=noise | {RESISTANCE: quick})
+    assert fast.with_slow_misfit_told(3.0) is fast
 
 
 @pytest.fixture(scope="module")

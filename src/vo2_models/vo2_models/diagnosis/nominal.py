@@ -206,10 +206,13 @@ class Nominal:
     def with_slow_misfit_told(self, most: float) -> Nominal:
         """The same with white noise of the size of its innovations where its level is more than `most` times theirs.
 
-        What is as slow as that is no sensor's noise: it is what the fit missed of the calibration.
+        What is as slow as that is no sensor's noise: it is what the fit missed of the calibration. Nothing is fitted to the
+        reading of a current, which may be late behind its command.
         """
         noise = {
-            c: NoiseModel(one.innovation) if one.level > most * one.innovation else one
+            c: NoiseModel(one.innovation)
+            if one.level > most * one.innovation and c != HEATER_CURRENT
+            else one
             for c, one in self.noise.items()
         }
         return self if noise == dict(self.noise) else replace(self, noise=noise)

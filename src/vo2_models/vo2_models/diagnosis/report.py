@@ -1312,13 +1312,13 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     where = max(energy, key=lambda c: energy[c])
     family = effects[0].family
     head = (
-        f"Simulation and recording differ, most in {where} ({1 + excess[where]:.3g} times the power of {_floor(study)}, after "
+        f"Simulation and recording differ, most in {where} ({_times_the_floor(study, excess[where])}, after "
         "a refit of what another day may move)."
     )
     if acts:
         head = (
             f"Simulation and recording differ, most in {where} (fitted to all of them the nominal device leaves "
-            f"{1 + excess.get(where, 0.0):.3g} times the power of {_floor(study)}, which may hold a part of what is left out)."
+            f"{_times_the_floor(study, excess.get(where, 0.0))}, which may hold a part of what is left out)."
         )
     if decision.held is not None:
         head = "Simulation and recording differ: an effect explains with none moved what constants would have to move for."
@@ -1366,6 +1366,15 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
     if pairs:
         text += " Not separable with this excitation: " + ", ".join(" / ".join(p) for p in pairs) + "."
     return text + tail
+
+
+def _times_the_floor(study: Study, beyond: float) -> str:
+    """How much is left in a channel, `beyond` what is expected there."""
+    return (
+        f"{1 + beyond:.3g} times the power of {_floor(study)}"
+        if beyond > 0.0
+        else f"no more than {_floor(study)}"
+    )
 
 
 def odds_of_rival(

@@ -22,7 +22,15 @@ from vo2_studies.challenge.outside import COMPOSED, describe
 from vo2_studies.challenge.plan import RANGE, CasePlan
 from vo2_studies.challenge.rig import Noise, Plan, Truth, channels_of, draw_rig_noise, log_channels, simulate
 
-__all__ = ["Case", "Recorded", "day_recording", "draw_case", "draw_rig", "follow_up_recording"]
+__all__ = [
+    "Case",
+    "Recorded",
+    "day_recording",
+    "draw_case",
+    "draw_rig",
+    "follow_up_recording",
+    "runs_of",
+]
 
 EXCESS_RANGE = {
     "one": ((3.0, 1000.0),),
@@ -235,6 +243,26 @@ def day_recording(
     for entry in answer["effects"]:
         redrawn(entry["id"], entry["form"], entry["parameters"], entry["signal"]).into(together, context)
     return rig.run(device, command, together, rng)[1], other
+
+
+def runs_of(
+    seed: int, plan: CasePlan, answer: dict, *, misfit: float = 0.1
+) -> tuple[Device, Plan, tuple[Array, Array], Noise]:
+    """Return the concealed device, its effects, the commands [A] of calibration and recording, and the noise.
+
+    Parameters
+    ----------
+    seed, plan, misfit : of the case
+    answer : of it
+    """
+    rng, rig = _rig(seed, plan, misfit)
+    first = calibration_current(rng, rig.device.preset)
+    command = excitation(rng, rig.device.preset, plan.excitation, plan.samples)
+    context = Context(rng, rig.device, answer["duration_s"])
+    together = Plan()
+    for entry in answer["effects"]:
+        redrawn(entry["id"], entry["form"], entry["parameters"], entry["signal"]).into(together, context)
+    return rig.device, together, (first, command), rig.noise
 
 
 def _draw_in_range(

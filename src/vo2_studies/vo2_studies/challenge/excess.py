@@ -8,7 +8,7 @@ from vo2_models.recording import RESISTANCE
 
 from vo2_studies.challenge.rig import Noise, Plan, Truth
 
-__all__ = ["branch_of", "excess_by_channel"]
+__all__ = ["branch_of", "excess_by_channel", "residuals"]
 
 Array = NDArray[np.floating]
 ONE_SIDED = 4.0
@@ -32,6 +32,13 @@ def _difference(clean: Truth, truth: Truth, channel: str, plan: Plan, noise: Noi
         for convert in converters:
             with_ = convert(with_)
     return _judged(channel, with_) - _judged(channel, without)
+
+
+def residuals(clean: Truth, truth: Truth, plan: Plan, noise: Noise) -> Array:
+    """Return with minus without of all channels, one behind the other (n,), in standard deviations of each one's noise."""
+    return np.concatenate(
+        [_difference(clean, truth, name, plan, noise) / noise[name].sd for name in clean.channels]
+    )
 
 
 def excess_by_channel(clean: Truth, truth: Truth, plan: Plan, noise: Noise) -> dict[str, float]:
