@@ -167,6 +167,7 @@ def test_missing_files_and_laws_are_named(tmp_path, capsys):
         assert what in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_bounds_of_a_compressed_model_hold_as_often(tmp_path):
     """On random levels, where the bounds of the model as it was would hold in half of the samples."""
     current = 3.68e-3 + 4.81e-3 * np.repeat(vo2.damped_oscillation(np.linspace(0.0, 1.0, 13)), 10)

@@ -116,6 +116,7 @@ def test_sensors_set_anew_are_told_apart(parameters) -> None:
     assert moved["resistance.gain"].now == pytest.approx(1.02, abs=0.004)
 
 
+@pytest.mark.slow
 def test_the_corrected_model_has_the_moved_constants(parameters, tmp_path) -> None:
     changed = _read(concealed(moved=WARMER), **{TIP_DEFLECTION: (1.03, 3e-7)})
     answer = write_results(study([changed], parameters), tmp_path)

@@ -376,6 +376,7 @@ def test_a_light_that_stays_on_has_no_time_of_going_off(parameters) -> None:
     assert answer.effects[0].parameters["start"].value == pytest.approx(1.6, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_calibration_tells_what_a_current_reading_shows(parameters, read_parameters) -> None:
     line = read_parameters["model.enrichment.current_reading"]
     assert line == pytest.approx([2e-5, 1.02], rel=0.01)

@@ -70,6 +70,7 @@ def test_a_converter_that_clips_is_read_off_its_values(parameters, tmp_path) -> 
     assert not any("scatter" in text for text in answer.limits)
 
 
+@pytest.mark.slow
 def test_what_the_steps_of_a_converter_do_is_in_the_figures_of_the_fit(parameters) -> None:
     seen = study([with_tip(concealed(), coarse)], parameters)
     answer = assemble_diagnosis(seen)

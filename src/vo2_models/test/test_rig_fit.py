@@ -115,6 +115,7 @@ def test_the_lag_of_a_butterfly_is_found():
     assert np.nanstd(result.residuals[TIP_DEFLECTION]) < 0.02 * np.ptp(values)
 
 
+@pytest.mark.slow
 def test_loops_that_relax_are_told_from_a_slow_drive():
     """What has hysteresis comes late, what has none at once: a lag of the drive and a slow sensor make both late."""
     drive = np.repeat(np.random.default_rng(6).uniform(*VOLTS, 150), 10)
@@ -281,6 +282,7 @@ def test_a_response_that_stands_still_is_told_with_its_value():
         fit_model([recording], _device().key, names=["sweep"])
 
 
+@pytest.mark.slow
 def test_a_law_with_plays_takes_their_number():
     recording = _recording(drive := _drive(400, 50), _measured(drive))
     result, _ = fit_model([recording], _device().key, law="egpi", plays=3)

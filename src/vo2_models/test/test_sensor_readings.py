@@ -80,6 +80,7 @@ def test_the_mains_on_one_sensor_are_named_measured_and_taken_out(model):
         assert max(found.excess.values()) < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:no step of the drive")
 def test_what_swings_in_two_channels_is_no_sensors(model):
     levels, fitted = model
@@ -88,6 +89,7 @@ def test_what_swings_in_two_channels_is_no_sensors(model):
     assert any("swings at 50 Hz, and so does" in text for text in found.limits)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:no step of the drive")
 def test_a_hum_that_is_the_smaller_part_of_what_has_no_name_is_told_and_not_named(model):
     """A sensor that jumps to and fro by more than it hums: one line does not tell what it does."""

@@ -48,12 +48,13 @@ def test_finished_cases_are_kept_and_counted(tmp_path, monkeypatch, capsys) -> N
     monkeypatch.setattr(
         identifiable, "left_after_refit", lambda *given, anew: identifiable.Size(40.0, 12.0 if anew else 0.5)
     )
-    arguments = ["--cases", "32", "--family", "accommodating", "--samples", "600", "--output", str(tmp_path)]
+    arguments = ["--cases", "16", "--family", "accommodating", "--samples", "600", "--output", str(tmp_path)]
     assert identifiable.main(arguments) == 0
     first = load_json(tmp_path / "identifiable.json")
     along = [one for one in first if one["kind"] == "always"]
     since = [one for one in first if one["kind"] == "one"]
-    assert along and since and len(along) + len(since) == len(first)
+    outside = [one for one in first if one["kind"] == "outside"]
+    assert along and since and outside and len(along) + len(since) + len(outside) == len(first)
     monkeypatch.setattr(identifiable, "left_after_refit", None)
     assert identifiable.main(arguments) == 0
     assert load_json(tmp_path / "identifiable.json") == first

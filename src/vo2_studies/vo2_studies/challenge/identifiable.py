@@ -2,9 +2,10 @@
 
 Where an effect was there all along the nominal device is fitted to recordings that it is in, and takes up what it can. That is
 asked of the concealed device itself: without the effect, its constants and the places of its loops are fitted to what it does
-with it, noise left out, over the calibration and the recording together. Of an effect since the calibration only the constants
+with it, noise left out, over the calibration and the recording together. Of what came since the calibration only the constants
 that another day moves are fitted, to the recording. What is left, in noise powers, is what somebody could find who knew the law
-exactly; a fitted law, whose loops are free and which misses the device by some noise powers, finds less.
+exactly, at most: the fit may end early. A fitted law, whose loops are free and which misses the device by some noise powers,
+finds less.
 
 Both sides are simulated with one step a sample. Families whose grains can be moved to other thresholds serve.
 """
@@ -40,7 +41,7 @@ ROUNDS, TRIALS, SETTLED = 4, 5, 0.01
 """Steps of Levenberg and Marquardt's method at most, dampings tried for each, and the relative gain with which they end."""
 DAMPING, WEAKER, STRONGER = 1e-3, 0.2, 10.0
 """Of the diagonal at the beginning, and how it changes after a step that gains and one that does not."""
-KINDS = ("always", "one")
+KINDS = {"always": "there all along", "one": "since the calibration", "outside": "outside the catalogue"}
 
 
 @dataclass(frozen=True)
@@ -208,7 +209,7 @@ def _command(arguments: Sequence[str] | None) -> int:
         return refuse("identifiable", error)
     save_json(options.output / "identifiable.json", sizes)
     outputs.remember()
-    for kind, words in zip(KINDS, ("there all along", "since the calibration"), strict=True):
+    for kind, words in KINDS.items():
         left = [one["left"] for one in sizes if one["kind"] == kind and one["before"] > COUNTED_EXCESS]
         more = ", ".join(f"{sum(x > p for x in left)} more than {p:g}" for p in (COUNTED_EXCESS, 1.0))
         print(f"{words}: of {len(left)} above {COUNTED_EXCESS:g} noise powers constants leave {more}")
@@ -221,7 +222,8 @@ def _sizes(cases: Sequence[tuple[Settings, CasePlan]], folder: Path) -> list[dic
     found: list[dict] = []
     begun, new = time.monotonic(), 0
     for settings, plan in cases:
-        path = Paths(folder / str(settings.seed)).result(plan.index)
+        of = f"{settings.seed}_{settings.choice.family}_{settings.choice.condition}_{plan.samples}"
+        path = Paths(folder / of).result(plan.index)
         if path.exists():
             found.append(load_json(path))
             continue
