@@ -37,6 +37,15 @@ def test_a_structure_that_creeps_is_no_other_device(rig) -> None:
     assert 1.0 < size.left < size.before
 
 
+def test_a_dead_time_shorter_than_a_sample_is_one(rig) -> None:
+    device, commands, noise = rig
+    late = Plan(dead_time=0.4 * device.preset.sample_period)
+    size = identifiable.left_after_refit(device, late, commands, noise)
+    since = identifiable.left_after_refit(device, late, commands, noise, anew=False)
+    assert size.before > 0.01 > 20.0 * size.left
+    assert since.left > size.left
+
+
 def test_a_law_without_thresholds_is_refused(rig) -> None:
     _, commands, noise = rig
     device = draw_device(np.random.default_rng(4), "peltier", family="bouc_wen")

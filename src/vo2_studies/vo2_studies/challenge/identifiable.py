@@ -110,9 +110,10 @@ def _moves(device: Device, *, anew: bool) -> tuple[_Move, ...]:
 
 def _run(device: Device, command: Array, plan: Plan) -> Truth:
     """One run; a dead time between two samples is that of commands between theirs."""
-    whole, share = divmod(device.dead_time / device.preset.sample_period, 1.0)
+    period = device.preset.sample_period
+    whole, share = divmod((device.dead_time + plan.dead_time) / period, 1.0)
     between = (1.0 - share) * command + share * np.concatenate([[0.0], command[:-1]])
-    return simulate(replace(device, dead_time=whole * device.preset.sample_period), between, plan)
+    return simulate(replace(device, dead_time=whole * period), between, replace(plan, dead_time=0.0))
 
 
 def left_after_refit(
@@ -248,7 +249,7 @@ def _sizes(cases: Sequence[tuple[Settings, CasePlan]], folder: Path) -> list[dic
         new += 1
         rest = (time.monotonic() - begun) / new * (len(cases) - len(found))
         print(
-            f"[{len(found)}/{len(cases)}] {settings.seed} case {plan.index:3d}  {plan.kind:7s}{plan.device:11s}{effect:26s}"
+            f"[{len(found)}/{len(cases)}] {settings.seed} case {plan.index:3d}  {plan.kind:8s}{plan.device:11s}{effect:26s}"
             f"{size.before:9.2f} noise powers, {size.left:7.2f} left; about {duration(rest)} left to run",
             flush=True,
         )
