@@ -29,7 +29,7 @@ from vo2_models.diagnosis.part import prepare
 from vo2_models.diagnosis.problem import LATEST, QUICKEST, linearise_problem
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.propagate_correction import as_sensed, corrected_film, propagate_correction
-from vo2_models.diagnosis.report import _missed_by_the_law, odds_of_rival
+from vo2_models.diagnosis.report import _further_than_the_calibration, _missed_by_the_law, odds_of_rival
 from vo2_models.diagnosis.search import _refitted
 from vo2_models.diagnosis.tangent import Tangent
 from vo2_models.effects import effects
@@ -923,3 +923,18 @@ def test_a_gain_in_the_logged_drive_is_not_behind_the_loop() -> None:
     assert behind_the_loop(problem, 990.0) == pytest.approx(90.0)
     energy.pop(HEATER_CURRENT)
     assert behind_the_loop(problem, 90.0) == pytest.approx(90.0)
+
+
+@pytest.mark.parametrize(("left", "told"), [(5.0, True), (3.5, False)])
+def test_an_agreement_tells_what_is_far_beyond_noise_and_misfit_of_the_calibration(left, told) -> None:
+    level = 2e-3
+    nominal = replace(_model(), noise={RESISTANCE: NoiseModel(level)})
+    shape = SimpleNamespace(misfit=SimpleNamespace(level=level), rough=0.0)
+    study = SimpleNamespace(
+        located=SimpleNamespace(nominal=nominal, problem=SimpleNamespace(shapes={RESISTANCE: shape})),
+        decision=SimpleNamespace(judged=SimpleNamespace(after={RESISTANCE: left * np.sqrt(2.0) * level})),
+        limits=Limits(),
+    )
+    said = _further_than_the_calibration(study)  # type: ignore[arg-type]
+    assert (said.startswith(" But in film_resistance what is left is 5 times noise and misfit")) is told
+    assert bool(said) is told

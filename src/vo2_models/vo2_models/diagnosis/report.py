@@ -1181,6 +1181,29 @@ def _missed_by_the_law(study: Study) -> str:
     )
 
 
+def _further_than_the_calibration(study: Study) -> str:
+    """Say where far more is left than noise and misfit of the calibration, though it agrees; begins with a blank.
+
+    What changes slowly along the path of the temperature is many samples of one surprise, and weighs little.
+    """
+    located = study.located
+    if not located.nominal.model.description.has_body:
+        return ""
+    ratios = {
+        channel: study.decision.judged.after.get(channel, 0.0)
+        / float(np.linalg.norm([located.nominal.noise[channel].level, shape.misfit.level, shape.rough]))
+        for channel, shape in located.problem.shapes.items()
+    }
+    most = max(ratios, key=lambda c: ratios[c], default="")
+    if not most or ratios[most] <= study.limits.far_from_calibration:
+        return ""
+    return (
+        f" But in {most} what is left is {ratios[most]:.2g} times noise and misfit of the calibration (r.m.s.); it changes "
+        "slowly, which this verdict hardly counts: loops that the law misses, or a drift. Look at the residual before you rely "
+        "on it."
+    )
+
+
 def _why_enough(study: Study) -> str:
     """Say why an excess is no sign of physics."""
     if study.decision.unlike_noise:
@@ -1284,14 +1307,15 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
         head = "With that simulation" if study.shown else "Simulation"
         return (
             f"{head} and recording agree{_of_what(study)}{_refitted(study)}{_only_covered(study)}: the residual exceeds "
-            f"{_floor(study)} by {power:.0f} % of its power, {_why_enough(study)}.{_missed_by_the_law(study)}{_taken_up(study)}"
+            f"{_floor(study)} by {power:.0f} % of its power, {_why_enough(study)}.{_further_than_the_calibration(study)}"
+            f"{_missed_by_the_law(study)}{_taken_up(study)}"
         )
     moved = _moved_in_words(study, _moved(study))
     if decision.verdict == "drifted":
         return (
             f"The same physics, constants have moved{_of_what(study)}: {moved}. With them simulation and recording "
             f"agree{_only_covered(study)}: the residual exceeds {_floor(study)} by {power:.0f} % of its power, "
-            f"{_why_enough(study)}.{_or_effects(study)}"
+            f"{_why_enough(study)}.{_further_than_the_calibration(study)}{_or_effects(study)}"
         )
     if decision.taken_up:
         far = max(decision.taken_up, key=lambda c: decision.taken_up[c])
