@@ -1193,6 +1193,7 @@ def _further_than_the_calibration(study: Study) -> str:
         channel: study.decision.judged.after.get(channel, 0.0)
         / float(np.linalg.norm([located.nominal.noise[channel].level, shape.misfit.level, shape.rough]))
         for channel, shape in located.problem.shapes.items()
+        if channel in located.nominal.noise
     }
     most = max(ratios, key=lambda c: ratios[c], default="")
     if not most or ratios[most] <= study.limits.far_from_calibration:
