@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from vo2_models.command_line import duration, refuse
 from vo2_models.io import InputError, OutputFolder
 
@@ -37,10 +38,8 @@ from vo2_studies.challenge.runner import INTERRUPTED, Paths, Settings, load_json
 __all__ = ["Size", "left_after_refit", "main"]
 
 Array = NDArray[np.floating]
-ROUNDS, TRIALS, SETTLED = 4, 5, 0.01
-"""Steps of Levenberg and Marquardt's method at most, dampings tried for each, and the relative gain with which they end."""
-DAMPING, WEAKER, STRONGER = 1e-3, 0.2, 10.0
-"""Of the diagonal at the beginning, and how it changes after a step that gains and one that does not."""
+STEPS, SETTLED = 20, 0.01
+"""Of the refit: steps tried at most, and the relative gain with which it ends."""
 KINDS = {"always": "there all along", "one": "since the calibration", "outside": "outside the catalogue"}
 
 
@@ -157,23 +156,16 @@ def left_after_refit(
         pairs = zip(refitted(x), with_it, strict=True)
         return max(max(excess_by_channel(clean, truth, effects, noise).values()) for clean, truth in pairs)
 
-    x, damping = np.zeros(len(moves)), DAMPING
-    now = distances(x)
-    for _ in range(ROUNDS):
-        slopes = np.column_stack([distances(x + unit) - now for unit in np.eye(x.size)])
-        gram = slopes.T @ slopes
-        before = now @ now
-        for _ in range(TRIALS):
-            damped = gram + np.diag(damping * np.diag(gram) + np.finfo(float).tiny)
-            trial = x - np.linalg.lstsq(damped, slopes.T @ now, rcond=None)[0]
-            then = distances(trial)
-            if then @ then < before:
-                x, now, damping = trial, then, WEAKER * damping
-                break
-            damping *= STRONGER
-        if now @ now > (1.0 - SETTLED) * before:
-            break
-    return Size(most(np.zeros(x.size)), most(x))
+    def slopes(x: Array) -> Array:
+        now = distances(x)
+        return np.column_stack([distances(x + unit) - now for unit in np.eye(x.size)])
+
+    begin = np.zeros(len(moves))
+    # differences are over the steps of the constants, not of rounding: a grain switches or does not
+    fit = least_squares(
+        distances, begin, jac=slopes, method="lm", x_scale="jac", ftol=SETTLED, max_nfev=STEPS
+    )
+    return Size(most(begin), most(fit.x))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -221,10 +213,12 @@ def _command(arguments: Sequence[str] | None) -> int:
 def _sizes(cases: Sequence[tuple[Settings, CasePlan]], folder: Path) -> list[dict]:
     """The sizes of all cases, each kept in a file of its own."""
     found: list[dict] = []
-    begun, new = time.monotonic(), 0
+    files = []
     for settings, plan in cases:
         of = f"{settings.seed}_{settings.choice.family}_{settings.choice.condition}_{plan.samples}"
-        path = Paths(folder / of).result(plan.index)
+        files.append(Paths(folder / of).result(plan.index))
+    begun, new, to_do = time.monotonic(), 0, sum(not path.exists() for path in files)
+    for (settings, plan), path in zip(cases, files, strict=True):
         if path.exists():
             found.append(load_json(path))
             continue
@@ -247,7 +241,8 @@ def _sizes(cases: Sequence[tuple[Settings, CasePlan]], folder: Path) -> list[dic
         save_json(path, line)
         found.append(line)
         new += 1
-        rest = (time.monotonic() - begun) / new * (len(cases) - len(found))
+        to_do -= 1
+        rest = (time.monotonic() - begun) / new * to_do
         print(
             f"[{len(found)}/{len(cases)}] {settings.seed} case {plan.index:3d}  {plan.kind:8s}{plan.device:11s}{effect:26s}"
             f"{size.before:9.2f} noise powers, {size.left:7.2f} left; about {duration(rest)} left to run",
