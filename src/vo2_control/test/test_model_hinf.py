@@ -68,6 +68,7 @@ def test_a_device_of_millimetres_is_scaled_to_the_weights_too(tmp_path, period):
     assert held_swing(model.simulation, period)(controller) <= STILL
 
 
+@pytest.mark.slow
 def test_a_mode_that_the_design_does_not_know_is_held_or_refused_with_what_to_do(crude_model):
     mode = {"share": 1.0, "frequency": 60.0, "damping": 0.002}
     model = replace(crude_model("integrated"), effects={"cantilever_resonance": mode})

@@ -346,6 +346,7 @@ def late_on_one_loop(parameters):
     return late, loop, study([loop], parameters)
 
 
+@pytest.mark.slow
 def test_on_one_loop_what_is_found_has_rivals_and_an_experiment(late_on_one_loop) -> None:
     _, _, seen = late_on_one_loop
     answer = assemble_diagnosis(seen)
@@ -436,6 +437,7 @@ def test_a_small_late_part_on_top_is_found_with_its_steady_gain(parameters) -> N
     assert found["gain"].value == pytest.approx(0.012, rel=0.3)
 
 
+@pytest.mark.slow
 def test_two_effects_are_found_together_the_larger_first(parameters) -> None:
     both = {
         "creep": {"share": 0.05, "time_constant": 0.2},
@@ -452,6 +454,7 @@ def test_two_effects_are_found_together_the_larger_first(parameters) -> None:
     assert [e.id for e in assemble_diagnosis(again).effects] == named
 
 
+@pytest.mark.slow
 def test_a_coarser_converter_is_named_with_little_to_gain(parameters) -> None:
     recording = concealed()
     coarse = {**recording.channels, RESISTANCE: 600.0 * np.rint(recording[RESISTANCE] / 600.0)}

@@ -19,6 +19,7 @@ def unchanged():
     return concealed(samples=SAMPLES, seed=5)
 
 
+@pytest.mark.slow
 def test_what_only_one_recording_shows_is_named_for_it(unchanged) -> None:
     seen = study([unchanged, concealed(LATE, samples=SAMPLES, seed=6)], calibrated())
     answer = assemble_diagnosis(seen)

@@ -465,7 +465,7 @@ def test_a_bend_raised_by_a_weight_is_a_constant_more() -> None:
     assert np.all(Bend(0.25, np.zeros((2, 12))).amplitude(1, 300, 2.0) == 0.0)
 
 
-@pytest.mark.parametrize("swings", [(2.0,), (1.0, -2.0)])
+@pytest.mark.parametrize("swings", [pytest.param((2.0,), marks=pytest.mark.slow), (1.0, -2.0)])
 def test_a_room_that_swings_by_more_than_a_loop_is_linear_over_is_followed(swings) -> None:
     size, dt = 4000, 1e-3
     nominal, current = replace(_model(), noise={RESISTANCE: NoiseModel(1e-3)}), _drive(size)

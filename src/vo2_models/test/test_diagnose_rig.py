@@ -417,6 +417,7 @@ def test_what_leaves_more_than_any_unchanged_device_is_no_rival(model):
     assert gains["averaging"] > found.limits.rival_of_misfit * gains["sensor_lag"]
 
 
+@pytest.mark.slow
 def test_one_that_leaves_less_than_its_rivals_by_many_deviations_is_named_alone(model):
     """Under fast random steps an average over six samples is no lag; what an unchanged device may show is no reason to say so."""
     rng = np.random.default_rng(4)
@@ -498,7 +499,7 @@ def test_a_rest_between_the_steps_of_a_converter_is_no_excess(model):
     ("change", "constant", "moved"),
     [
         (lambda y: 1.08 * y, "deflection.gain", 0.08),
-        (lambda y: y + 4e-6, "deflection.zero", 4e-6),
+        pytest.param(lambda y: y + 4e-6, "deflection.zero", 4e-6, marks=pytest.mark.slow),
     ],
     ids=("8 % more gain", "another zero"),
 )

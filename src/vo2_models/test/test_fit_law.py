@@ -66,6 +66,7 @@ def test_the_right_law_comes_first_and_the_rest_follow_by_their_errors():
     assert errors == sorted(errors) and errors[1] > 3 * errors[0]
 
 
+@pytest.mark.slow
 def test_reversal_curves_of_an_sma_like_loop_are_predicted_better_than_by_plain_preisach():
     rng = np.random.default_rng(0)
     corners = np.r_[

@@ -216,6 +216,7 @@ def test_problem_refuses_unknown_names(calibrated):
             Problem(calibrated, [grid], [name])
 
 
+@pytest.mark.slow
 def test_outliers_are_left_out_and_the_recordings_need_not_have_the_same_channels():
     device = truth("integrated", seed=6)
     first, second = (device.simulate(_calibration("integrated"), seed=seed) for seed in (1, 2))
