@@ -237,6 +237,7 @@ def in_series(parameters):
     return study([concealed({"series_resistance": {"resistance": 900.0}})], parameters)
 
 
+@pytest.mark.slow
 def test_a_change_of_the_terminals_is_told_from_the_film(in_series) -> None:
     answer = assemble_diagnosis(in_series)
     assert answer.effects[0].id == "series_resistance"
@@ -297,6 +298,7 @@ def test_one_effect_is_named_where_several_constants_would_have_to_move_in_its_p
     assert corrected["model.thermal.square_gain"] == pytest.approx(was, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_an_effect_that_leaves_noise_alone_leaves_nothing_to_constants(in_series) -> None:
     """Then no effect is sought with constants held; where it is not the best that is sought, it is."""
     located, found = in_series.located, in_series.search

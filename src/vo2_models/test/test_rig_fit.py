@@ -248,6 +248,7 @@ def test_where_the_calibration_is_not_represented_is_told():
     assert "lies between 6.61 and 7.2" in note or "lies between 7.2" in note
 
 
+@pytest.mark.slow
 def test_commands_stamped_at_the_end_of_their_interval_are_found():
     steps = np.repeat(np.random.default_rng(1).uniform(*VOLTS, 120), 8)
     recording = _recording(steps, _measured(steps))

@@ -16,6 +16,7 @@ def rig():
     return device, (ramp, -0.5 + 0.5 * np.cos(np.arange(800) / 60.0)), draw_rig_noise(rng, device)
 
 
+@pytest.mark.slow
 def test_another_place_of_the_structures_loop_is_a_constant_of_the_device(rig) -> None:
     device, commands, noise = rig
     size = identifiable.left_after_refit(device, Plan(terms={"structure_offset": 0.8}), commands, noise)
