@@ -26,6 +26,7 @@ __all__ = [
     "adequacy_of",
     "behind_the_loop",
     "ends_flat",
+    "farthest_over_misfit",
     "over_misfit",
     "reached",
     "shown",
@@ -173,6 +174,17 @@ def over_misfit(problem: LinearisedProblem, residual: Floats) -> dict[str, float
     channel -> r.m.s. distance over r.m.s. error; empty where that error is not known
     """
     return {channel: _rms(values) for channel, values in _in_misfits(problem, residual).items()}
+
+
+def farthest_over_misfit(option: Option) -> float:
+    """Return the largest of `over_misfit` that an explanation leaves, 0 where that error is not known.
+
+    Parameters
+    ----------
+    option : the explanation with the problem about it
+    """
+    left = over_misfit(option.final, option.final.residual - option.chosen.deviation)
+    return max(left.values(), default=0.0)
 
 
 def behind_the_loop(problem: LinearisedProblem, gain: float) -> float:

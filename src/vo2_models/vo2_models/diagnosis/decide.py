@@ -15,7 +15,7 @@ from vo2_models.diagnosis.adequacy import (
     adequacy_of,
     behind_the_loop,
     ends_flat,
-    over_misfit,
+    farthest_over_misfit,
     reached,
 )
 from vo2_models.diagnosis.breakdown import Breakdown, breakdown
@@ -31,7 +31,7 @@ from vo2_models.diagnosis.nonparametric_correction import (
     NonparametricCorrection,
     fit_nonparametric_correction,
 )
-from vo2_models.diagnosis.pairs import Option, option_of, trace
+from vo2_models.diagnosis.pairs import Option, trace
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.read import Reading
@@ -191,7 +191,7 @@ def _judged(
             )
             admissible = admissible and not small and len(option.chosen.keys) == 1
             admissible = admissible and not (alone and _leaves_no_more(problem, alone, option))
-            equivalent, ahead = _as_adequate(located, option, found.singles, limits, clock)
+            equivalent, ahead = _as_adequate(option, found, limits)
         rivals, remaining = option.rivals, option.remaining
         # with a body an effect in the place of constants is judged by itself, below
         hidden = found.hidden and not located.nominal.model.description.has_body
@@ -479,30 +479,25 @@ def _equivalent(option: Option, singles: Sequence[Explanation], limits: Limits) 
     return tuple(sorted(gains, key=lambda key: -gains[key])) if len(gains) > 1 else ()
 
 
-def _as_adequate(
-    located: Located, option: Option, singles: Sequence[Explanation], limits: Limits, clock: Clock
-) -> tuple[tuple[str, ...], bool]:
+def _as_adequate(option: Option, found: Search, limits: Limits) -> tuple[tuple[str, ...], bool]:
     """Keys of the effects that gain nearly as much as an option and leave no more than it does or an unchanged device shows.
 
     Each is fitted about itself, as the option was: what holds only where the simulation is linear does not tell what is left.
     And whether each but the option leaves more than it does by many standard deviations, of the size of what the option leaves.
     """
-
-    def left(one: Option) -> float:
-        return max(over_misfit(one.final, one.final.residual - one.chosen.deviation).values(), default=0.0)
-
     own = option.chosen
-    most = limits.unlike_misfit * max(1.0, left(option) / limits.own_misfit)
-    rivals = {one.keys[0]: one for one in singles}
+    most = limits.unlike_misfit * max(1.0, farthest_over_misfit(option) / limits.own_misfit)
+    rivals = {one.keys[0]: one for one in found.singles}
     kept = {own.keys[0]: np.inf}
-    for key in _equivalent(option, singles, limits):
+    order = _equivalent(option, found.singles, limits)
+    for key in order:
         if key not in kept:
-            rival = option_of(located.nominal, located.problem, rivals[key], (), limits, tick=clock.tick)
-            if left(rival) <= most or rival.chosen.gain >= limits.equal_of_misfit * own.gain:
-                kept[key] = rival.chosen.chi_square - own.chi_square
+            near = found.beyond.get(key, np.inf) <= most
+            if near or rivals[key].gain >= limits.equal_of_misfit * own.gain:
+                kept[key] = rivals[key].chi_square - own.chi_square
     ahead = min(kept.values()) > limits.apart * max(1.0, own.chi_square / option.final.count)
-    order = [key for key in _equivalent(option, singles, limits) if key in kept]
-    return (tuple(order), ahead) if len(order) > 1 else ((), False)
+    same = tuple(key for key in order if key in kept)
+    return (same, ahead) if len(same) > 1 else ((), False)
 
 
 def told_as(decision: Decision, equivalent: tuple[str, ...]) -> Decision:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from vo2_models.device.coefficients import HUGE
 from vo2_models.diagnosis.absorbed import without_absorbed
-from vo2_models.diagnosis.adequacy import over_misfit, where_told
+from vo2_models.diagnosis.adequacy import farthest_over_misfit, where_told
 from vo2_models.diagnosis.courses import bent_by, with_courses, worth_their_price
 from vo2_models.diagnosis.drift import Drift, drift_of
 from vo2_models.diagnosis.explain import (
@@ -72,6 +72,8 @@ class Search:
     hidden : whether the nuisance model moved so far that it may hide an effect
     not_excited : ids of effects that these recordings would not show
     held : an effect in the place of moved constants, None where these are as good
+    beyond : key -> largest distance of a channel, over the device's own misfit, that a single explanation leaves; of those that
+        were linearised about themselves on a device without body, empty with one
     """
 
     candidates: tuple[Hypothesis, ...]
@@ -81,6 +83,7 @@ class Search:
     hidden: bool
     not_excited: tuple[str, ...]
     held: Held | None = None
+    beyond: Mapping[str, float] = field(default_factory=dict)
 
 
 def search(
@@ -134,11 +137,15 @@ def search(
     for fit in sorted(fits, key=lambda e: cost(e, problem, limits)):
         best.setdefault(fit.keys[0], replace(fit, gain=before - fit.chi_square))
     singles = sorted(best.values(), key=lambda e: cost(e, problem, limits))
+    beyond: dict[str, float] = {}
+    if located.own_misfit:
+        singles, beyond = _about_themselves(located, singles, limits, clock)
     options = _options(located, singles, candidates, limits, clock)
     return Search(
         tuple(candidates), tuple(scores), tuple(singles), tuple(options), hidden,
         tuple(_not_excited(scores, limits)),
         None if one_loop else _in_place_of_constants(located, fixed, unmoved, limits, clock),
+        beyond,
     )  # fmt: skip
 
 
@@ -157,6 +164,27 @@ def _without_constants(located: Located, fits: Sequence[Explanation], limits: Li
     option = option_of(located.nominal, problem, first, (), limits, tick=clock.tick)
     drift = drift_of(option.final, option.final.residual - option.chosen.deviation)
     return option.remaining < limits.least and not drift.significant(limits.drift_p)
+
+
+def _about_themselves(
+    located: Located, singles: Sequence[Explanation], limits: Limits, clock: Clock
+) -> tuple[list[Explanation], dict[str, float]]:
+    """Those that may be the answer or its rivals linearised about themselves, best first, and how far each leaves a channel.
+
+    On a device without body constants that stood for an effect are far from where they belong beside it, and an effect fitted
+    with constants held misses what these have done besides: neither says how well it fits.
+    """
+
+    def about(explanation: Explanation) -> tuple[Explanation, float]:
+        one = option_of(located.nominal, located.problem, explanation, (), limits, tick=clock.tick)
+        return one.chosen, farthest_over_misfit(one)
+
+    near = [e for e in singles if e.gain >= limits.dominated * singles[0].gain]
+    clock.say("linearising about each explanation")
+    again = parallel_map(about, near)
+    rest = [e for e in singles if e.gain < limits.dominated * singles[0].gain]
+    order = sorted([*(e for e, _ in again), *rest], key=lambda e: cost(e, located.problem, limits))
+    return order, {e.keys[0]: distance for e, distance in again}
 
 
 def _with_courses(
@@ -404,7 +432,7 @@ def _where_told(located: Located, alone: Option, limits: Limits, clock: Clock) -
     Least squares take a place that the law misses by ten times its misfit for a hundred others.
     """
     final, chosen = alone.final, alone.chosen
-    if max(over_misfit(final, final.residual - chosen.deviation).values()) <= limits.own_misfit:
+    if farthest_over_misfit(alone) <= limits.own_misfit:
         return alone
     for _ in range(TRIMMED):
         kept = where_told(final, final.residual - chosen.deviation, limits.told)
