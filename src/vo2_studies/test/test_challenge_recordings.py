@@ -11,9 +11,11 @@ from vo2_models.recording import Recording
 from vo2_studies.challenge import command
 from vo2_studies.challenge.families import FAMILIES
 from vo2_studies.challenge.judging import judge
+from vo2_studies.challenge.recordings import separable
 from vo2_studies.challenge.recordings.bodyless import SAMPLES, BodylessSettings
 from vo2_studies.challenge.recordings.changes import CHANGES, changed
 from vo2_studies.challenge.recordings.draw import MeasuredSettings, conceal
+from vo2_studies.challenge.recordings.separable import nearest_rival
 from vo2_studies.challenge.recordings.sets import MOST, MeasuredSet, repeat_spread
 from vo2_studies.challenge.runner import Paths, load_json, write_case
 
@@ -36,6 +38,32 @@ def test_changes_have_the_wanted_size_and_grow(change):
 def by_id(name):
     (found,) = (change for change in CHANGES if change.id == name)
     return found
+
+
+def nearest(own, strength, values=LOOP, unit="m"):
+    return nearest_rival(TIME, values, by_id(own).alter(TIME, values, strength), unit, own)
+
+
+def test_what_others_imitate_is_told_from_what_they_do_not():
+    # a drift of the gain is one of the zero where nearly all of a signal is its mean, and none where it has none
+    far = 5000.0 + LOOP
+    name, drift_of_a_mean = nearest("sensor_gain_drift", 0.01, far)
+    assert name == "sensor_zero_drift"
+    of_its_own = nearest("sensor_gain_drift", 0.1, LOOP - 50.0)[1]
+    plain = 0.1 * float(np.std(LOOP)) / 2
+    assert drift_of_a_mean < 0.02 * 0.01 * 5050.0
+    assert of_its_own > 0.2 * plain
+    # a late clock is not told from a dead time, and is from an average as it grows
+    name, small = nearest("clock_offset", 0.05)
+    assert name not in ("clock_offset", "dead_time")
+    assert nearest("clock_offset", 0.4)[1] > 3.0 * small
+
+
+def test_what_constants_do_is_no_change():
+    moved = nearest_rival(TIME, LOOP, 1.02 * LOOP + 3.0, "m", "none")
+    assert moved[1] == pytest.approx(0.0, abs=1e-9)
+    # a resistance is judged by its logarithm, in which a gain is a zero
+    assert nearest_rival(TIME, LOOP, 1.02 * LOOP, "ohm", "none")[1] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_changes_are_exact():
@@ -97,6 +125,18 @@ def test_spread_of_repeats():
 
 DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="needs ../shared/data beside the repository")
+
+
+@needs_data
+def test_separable_counts_what_challenge_conceals(capsys):
+    assert separable.main(["--recordings", str(DATA), "--cases", "12", "--seed", "3"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    plans = [MeasuredSettings(3, str(DATA)).plan(k) for k in range(12)]
+    asked = [p for p in plans if p.effects and p.effects[0] != "drive_gain_drift"]
+    assert len(lines) == len(asked) + 1
+    assert all(p.effects[0] in line for p, line in zip(asked, lines, strict=False))
+    assert lines[-1].startswith("of ")
+    assert separable.main(["--recordings", str(DATA / "none"), "--cases", "1"]) == 2
 
 
 @needs_data

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vo2_studies.challenge.filters import after_steps, backlash, boxcar, lag, oscillator
 
-__all__ = ["CHANGES", "Change", "changed"]
+__all__ = ["CHANGES", "Change", "changed", "largest_strength"]
 
 Array = NDArray[np.floating]
 FINE = 4
@@ -150,6 +150,19 @@ CHANGES = (
 zone too: it is no more than an offset where the drive keeps its sign."""
 
 
+def largest_strength(change: Change, since: Array, values: Array) -> float:
+    """Return the largest strength of a change in its own unit.
+
+    Parameters
+    ----------
+    change : the change
+    since : (n,) time from the start [s]
+    values : (n,) of what it acts on
+    """
+    unit = {"s": float(since[-1]), "1": 1.0, "S": float(1 / np.max(np.abs(values)))}
+    return change.most * unit.get(change.unit, float(np.ptp(values)))
+
+
 def changed(
     change: Change, time: Array, values: Array, wanted: float, measure: Callable[[Array], float]
 ) -> tuple[Array, float]:
@@ -158,8 +171,7 @@ def changed(
     Strengths up to the change's largest are searched over nine decades, by bisection: every change grows with its own.
     """
     since = time - time[0]
-    unit = {"s": float(since[-1]), "1": 1.0, "S": float(1 / np.max(np.abs(values)))}
-    largest = change.most * unit.get(change.unit, float(np.ptp(values)))
+    largest = largest_strength(change, since, values)
     low, high = -9.0, 0.0
     for _ in range(40):
         middle = (low + high) / 2
