@@ -906,6 +906,45 @@ def test_what_another_channel_shows_does_not_speak_against_an_effect_of_one_sens
     assert adequacy_of(option, Limits()).left < 0.1
 
 
+def test_a_misfit_to_which_a_mode_rings_does_not_speak_against_the_mode() -> None:
+    """A law that misses the deflection by a third of its noise, enlarged by a mode of quality 50; and a swing, which is not."""
+    noise = {RESISTANCE: NoiseModel(1e-3, ()), TIP_DEFLECTION: NoiseModel(2e-8, ())}
+    nominal = replace(_model(), model=_with_deflection(), noise=noise)
+    mode = {"share": 0.9, "frequency": 40.0, "damping": 0.01}
+    current, rng = _drive(3000), np.random.default_rng(2)
+    time = 1e-3 * np.arange(3000)
+    shown = nominal.respond(current, 1e-3, effects={"cantilever_resonance": mode}).channels
+    simulation = nominal.model.simulation.with_effects({"cantilever_resonance": mode})
+    law = 7e-9 * np.repeat(rng.normal(size=(300, 1)), 10, axis=0)
+    missed = as_sensed(simulation, TIP_DEFLECTION, law, 1e-3)[:, 0]
+
+    def judged(more):
+        deflection = shown[TIP_DEFLECTION] + more + 2e-8 * rng.normal(size=3000)
+        film = 10.0 ** (shown[RESISTANCE] + 1e-3 * rng.normal(size=3000))
+        channels = {HEATER_CURRENT: current, RESISTANCE: film, TIP_DEFLECTION: deflection}
+        part = prepare(Recording(time, channels, "integrated"), nominal)
+        problem = linearise_problem(nominal, [part], shapes={})  # loops as they are
+        hypothesis = Hypothesis(
+            effects()["cantilever_resonance"],
+            "",
+            (mode,),
+            {"share": 0.01, "frequency": 0.02, "damping": 0.05},
+        )
+        option = option_of(
+            nominal, problem, fit_jointly(problem, [hypothesis], hypothesis.starts, Limits()), [], Limits()
+        )
+        assert option.chosen.values[0]["frequency"] == pytest.approx(40.0, rel=0.01)
+        count = problem.count_by_channel[TIP_DEFLECTION]
+        return option.remaining * problem.count / count, adequacy_of(
+            option, replace(Limits(), equation=0.0)
+        ).left
+
+    left, beyond = judged(missed)
+    assert left > 1.0 > 0.5 > beyond
+    left, beyond = judged(6e-8 * np.sin(2.0 * np.pi * 97.0 * time))
+    assert beyond > 0.8 * left > 1.0
+
+
 def test_a_drive_that_begins_at_zero_has_a_zero_that_may_move() -> None:
     nominal = _model()
     model = replace(nominal.model, scalars={**nominal.model.scalars, "thermal.ambient": 0.0})

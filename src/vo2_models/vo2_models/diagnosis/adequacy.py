@@ -19,7 +19,7 @@ from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.pairs import Option, trace
 from vo2_models.diagnosis.problem import LinearisedProblem, at_sensor
 from vo2_models.diagnosis.propagate_correction import as_sensed
-from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE
+from vo2_models.recording import HEATER_CURRENT, RESISTANCE, STAGE_TEMPERATURE, TIP_DEFLECTION
 
 __all__ = [
     "Adequacy",
@@ -90,7 +90,7 @@ def adequacy_of(option: Option, limits: Limits, *, most: float = np.inf) -> Adeq
     gain = max(chosen.gain, 0.0)
     share = gain / max(gain + count * remaining, 1e-300)
     residual, inside = option.final.residual - chosen.deviation, reached(option)
-    beside, others = _left_in(option.final, residual, inside)
+    beside, others = _left_in(option.final, _before_the_structure(option, residual), inside)
     outside = set(option.final.count_by_channel) - inside
     elsewhere = max((_left_in(option.final, residual, {channel})[0] for channel in outside), default=0.0)
     left = max(beside - limits.equation * min(gain, most) / others, 0.0)
@@ -174,6 +174,32 @@ def over_misfit(problem: LinearisedProblem, residual: Floats) -> dict[str, float
     channel -> r.m.s. distance over r.m.s. error; empty where that error is not known
     """
     return {channel: _rms(values) for channel, values in _in_misfits(problem, residual).items()}
+
+
+def _before_the_structure(option: Option, residual: Floats) -> Floats:
+    """Return a residual (N,) whose deflection is divided by what the explanation's structure enlarges it by, at each frequency.
+
+    A mode rings to what the law misses as it does to the rest: near its frequency it enlarges the device's own misfit by up to
+    its quality, which is no sign of something else. With H the response of the structure to a change of the deflection, with the
+    explanation over without it, the residual's spectrum is divided by |H| where that is above 1.
+    """
+    final, out = option.final, residual.copy()
+    with_it = final.nominal.model.simulation.with_effects(final.included)
+    if not any(hypothesis.record.stage == "structure" for hypothesis in option.chosen.hypotheses):
+        return out
+    for row, part, _ in final.iterate():
+        if row.channel != TIP_DEFLECTION:
+            continue
+        size = 2 * part.size
+        impulse = np.zeros((part.size, 1))
+        impulse[1] = 1.0
+        enlarged, plain = (
+            np.abs(np.fft.rfft(as_sensed(simulation, row.channel, impulse, part.dt)[:, 0], size))
+            for simulation in (with_it, final.nominal.model.simulation)
+        )
+        spectrum = np.fft.rfft(out[row.where], size) / np.maximum(enlarged / np.maximum(plain, 1e-12), 1.0)
+        out[row.where] = np.fft.irfft(spectrum, size)[: part.size]
+    return out
 
 
 def farthest_over_misfit(option: Option) -> float:
