@@ -433,17 +433,16 @@ def test_one_that_leaves_less_than_its_rivals_by_many_deviations_is_named_alone(
     assert answer.indistinguishable == [] and answer.next_experiment is None
 
 
-def test_of_several_one_is_told_only_where_it_is_ahead_and_probable(lagging, monkeypatch):
+def test_of_several_one_is_told_only_where_it_holds_most_of_the_probability(lagging, monkeypatch):
     several = lagging.decision.equivalent
     assert len(several) > 1 and lagging.decision.rival_pairs
 
-    def says(*, ahead: bool, likely: float) -> tuple[str, ...]:
+    def says(likely: float) -> tuple[str, ...]:
         keys = lagging.decision.chosen.keys
         monkeypatch.setattr(report, "_candidates", lambda study: ([], {keys[0]: likely}))
-        return report.equally_likely(replace(lagging, decision=replace(lagging.decision, ahead=ahead)))
+        return report.equally_likely(lagging)
 
-    assert says(ahead=True, likely=0.95) == ()
-    assert says(ahead=False, likely=0.95) == says(ahead=True, likely=0.85) == several
+    assert says(0.95) == () and says(0.85) == several
     alone = decide.told_as(lagging.decision, ())
     assert alone.equivalent == () and alone.rival_pairs == () and alone.proposal is None
     assert decide.told_as(lagging.decision, several).rival_pairs == lagging.decision.rival_pairs

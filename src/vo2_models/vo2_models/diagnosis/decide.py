@@ -67,7 +67,6 @@ class Decision:
     equivalent : keys of the effects of which it is one, best first, that of `chosen` among them, which stands for all; empty
         where a single effect is named. On a device without body those that explain as much as `chosen` does; elsewhere those
         that are together as likely as a name has to be, see `report.equally_likely`
-    ahead : whether all others of `equivalent` leave more than `chosen` by many standard deviations
     held : where what is named stands in the place of moved constants
     taken_up : channels that are that many times the calibration's held-out error from the model as it is, where moved constants
         and loops together take it up and none is told; empty elsewhere
@@ -90,7 +89,6 @@ class Decision:
     adequacy: Adequacy | None = None
     unlike_noise: bool = False
     equivalent: tuple[str, ...] = ()
-    ahead: bool = False
     held: Held | None = None
     taken_up: Mapping[str, float] = field(default_factory=dict)
     alone: Drift | None = None
@@ -101,7 +99,7 @@ class _Verdict:
     """The first option that is admissible, or the nuisance model alone.
 
     `shown` is the largest share of the excess that an option explains, admissible or not; `alone` what `moved_alone` finds, where
-    nothing is named; `equivalent`, `ahead`, `held` as in `Decision`.
+    nothing is named; `equivalent`, `held` as in `Decision`.
     """
 
     option: Option | None
@@ -111,7 +109,6 @@ class _Verdict:
     adequacy: Adequacy | None
     shown: float
     equivalent: tuple[str, ...] = ()
-    ahead: bool = False
     held: Held | None = None
     alone: Drift | None = None
 
@@ -183,7 +180,6 @@ def _judged(
         if doubted and _is_admissible(option, judged, adequacy, limits, limits.likelier):
             pairs.append(_Verdict(option, judged, option.rivals, option.remaining, adequacy, shown))
         equivalent: tuple[str, ...] = ()
-        ahead = False
         if located.own_misfit:
             # what an unchanged device may miss on another path is explained by many effects
             small = located.within_misfit(limits.unlike_misfit) and (
@@ -191,12 +187,12 @@ def _judged(
             )
             admissible = admissible and not small and len(option.chosen.keys) == 1
             admissible = admissible and not (alone and _leaves_no_more(problem, alone, option))
-            equivalent, ahead = _as_adequate(option, found, limits)
+            equivalent = _as_adequate(option, found, limits)
         rivals, remaining = option.rivals, option.remaining
         # with a body an effect in the place of constants is judged by itself, below
         hidden = found.hidden and not located.nominal.model.description.has_body
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
-            verdict = _Verdict(option, judged, rivals, remaining, adequacy, shown, equivalent, ahead)
+            verdict = _Verdict(option, judged, rivals, remaining, adequacy, shown, equivalent)
             return _with_its_second(verdict, pairs, limits)
     if not located.own_misfit:
         alone = _moved_alone(located, limits, first_use=first_use)
@@ -270,7 +266,7 @@ def _named(
         verdict="differs", final=final, chosen=chosen, judged=verdict.judged, rivals=verdict.rivals,
         remaining_excess=verdict.remaining, unnamed=None,
         breakdown=tuple(breakdown(final, trace(final), floor=0.0)), rival_pairs=tuple(pairs), proposal=proposal,
-        drift=drift, mimics=mimics, adequacy=verdict.adequacy, equivalent=verdict.equivalent, ahead=verdict.ahead,
+        drift=drift, mimics=mimics, adequacy=verdict.adequacy, equivalent=verdict.equivalent,
         held=verdict.held,
     )  # fmt: skip
 
@@ -479,25 +475,22 @@ def _equivalent(option: Option, singles: Sequence[Explanation], limits: Limits) 
     return tuple(sorted(gains, key=lambda key: -gains[key])) if len(gains) > 1 else ()
 
 
-def _as_adequate(option: Option, found: Search, limits: Limits) -> tuple[tuple[str, ...], bool]:
+def _as_adequate(option: Option, found: Search, limits: Limits) -> tuple[str, ...]:
     """Keys of the effects that gain nearly as much as an option and leave no more than it does or an unchanged device shows.
 
     Each is fitted about itself, as the option was: what holds only where the simulation is linear does not tell what is left.
-    And whether each but the option leaves more than it does by many standard deviations, of the size of what the option leaves.
     """
     own = option.chosen
     most = limits.unlike_misfit * max(1.0, farthest_over_misfit(option) / limits.own_misfit)
-    rivals = {one.keys[0]: one for one in found.singles}
-    kept = {own.keys[0]: np.inf}
-    order = _equivalent(option, found.singles, limits)
-    for key in order:
-        if key not in kept:
-            near = found.beyond.get(key, np.inf) <= most
-            if near or rivals[key].gain >= limits.equal_of_misfit * own.gain:
-                kept[key] = rivals[key].chi_square - own.chi_square
-    ahead = min(kept.values()) > limits.apart * max(1.0, own.chi_square / option.final.count)
-    same = tuple(key for key in order if key in kept)
-    return (same, ahead) if len(same) > 1 else ((), False)
+    gains = {one.keys[0]: one.gain for one in found.singles}
+    same = tuple(
+        key
+        for key in _equivalent(option, found.singles, limits)
+        if key == own.keys[0]
+        or found.beyond.get(key, np.inf) <= most
+        or gains[key] >= limits.equal_of_misfit * own.gain
+    )
+    return same if len(same) > 1 else ()
 
 
 def told_as(decision: Decision, equivalent: tuple[str, ...]) -> Decision:

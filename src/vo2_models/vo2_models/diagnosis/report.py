@@ -586,8 +586,8 @@ def equally_likely(study: Study) -> tuple[str, ...]:
 
     A single name must be more likely than everything else together. Where none is, but an effect of the catalogue is likelier
     than something that is in none, the fewest effects that hold most of the probability are told in its place. On a device
-    without body those that explain as much are told, unless one is ahead of them by what is left and by its probability, and
-    those that give the same values.
+    without body those that explain as much are told, unless one holds most of the probability by itself, and those that give
+    the same values.
 
     Parameters
     ----------
@@ -598,7 +598,7 @@ def equally_likely(study: Study) -> tuple[str, ...]:
         return study.decision.equivalent
     probability = _candidates(study)[1]
     if not study.located.problem.nominal.model.description.has_body:
-        alone = study.decision.ahead and probability[chosen.keys[0]] > study.limits.credible
+        alone = probability[chosen.keys[0]] > study.limits.credible
         others = () if alone else study.decision.equivalent
         records = {h.key: h.record for h in study.search.candidates}
         told = others or chosen.keys
