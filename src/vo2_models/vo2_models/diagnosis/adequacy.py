@@ -183,10 +183,10 @@ def _before_the_structure(option: Option, residual: Floats) -> Floats:
     its quality, which is no sign of something else. With H the response of the structure to a change of the deflection, with the
     explanation over without it, the residual's spectrum is divided by |H| where that is above 1.
     """
-    final, out = option.final, residual.copy()
-    with_it = final.nominal.model.simulation.with_effects(final.included)
     if not any(hypothesis.record.stage == "structure" for hypothesis in option.chosen.hypotheses):
-        return out
+        return residual
+    final, out = option.final, residual.copy()
+    without = final.nominal.model.simulation
     for row, part, _ in final.iterate():
         if row.channel != TIP_DEFLECTION:
             continue
@@ -195,7 +195,7 @@ def _before_the_structure(option: Option, residual: Floats) -> Floats:
         impulse[1] = 1.0
         enlarged, plain = (
             np.abs(np.fft.rfft(as_sensed(simulation, row.channel, impulse, part.dt)[:, 0], size))
-            for simulation in (with_it, final.nominal.model.simulation)
+            for simulation in (without.with_effects(final.included), without)
         )
         spectrum = np.fft.rfft(out[row.where], size) / np.maximum(enlarged / np.maximum(plain, 1e-12), 1.0)
         out[row.where] = np.fft.irfft(spectrum, size)[: part.size]
