@@ -1,6 +1,6 @@
 """What an answer says beside its name: of another device, of a second effect, of a family, of states nobody has seen."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -123,6 +123,39 @@ def of_two(found, monkeypatch):
         return replace(found, decision=decision, search=replace(found.search, candidates=candidates))
 
     return answer
+
+
+@dataclass(frozen=True)
+class Told:
+    """An explanation of one effect without parameters."""
+
+    keys: tuple[str, ...]
+    chi_square: float
+    gain: float
+    coordinates: tuple = ()
+    courses: dict = field(default_factory=dict)
+
+
+@pytest.mark.parametrize(
+    ("gain", "remaining", "apart"),
+    # of few noise powers a share of the gain is the smaller measure, of many the samples that one loop is worth
+    [(1.0, 0.0, 0.1), (100.0, 0.0, 0.25), (100.0, 3.0, 1.0)],
+)
+def test_on_one_loop_a_recording_is_worth_few_samples_however_long(found, gain, remaining, apart):
+    count = found.located.problem.count
+    decision = replace(found.decision, remaining_excess=remaining, rivals=())
+
+    def ratio(device, reading):
+        best, other = Told(("a",), count, gain * count), Told(("b",), (1.0 + apart) * count, gain * count)
+        answer = replace(device, reading=reading, decision=replace(decision, chosen=best))
+        weights = report._weights(answer, [best, other], [best.chi_square, other.chi_square])
+        return weights[1] / weights[0]
+
+    one_loop = replace(found.reading, one_loop=True)
+    assert ratio(found, one_loop) == pytest.approx(np.exp(-1.0), rel=1e-3)
+    assert ratio(found, replace(found.reading, one_loop=False)) < 0.1
+    share = Limits().temper_on_one_loop * gain
+    assert ratio(with_body(found), one_loop) == pytest.approx(np.exp(-0.5 * apart / share), rel=1e-3)
 
 
 def test_one_of_two_that_is_less_likely_than_not_is_doubted(found, of_two):

@@ -539,7 +539,10 @@ def _rival_pairs(
     reference = next((r for r in rivals if set(r.keys) == set(chosen.keys)), chosen)
     limit = limits.rival * (1.0 + max(remaining, 0.0))
     if one_loop and len(chosen.keys) == 1:
-        limit = max(limit, (1.0 - limits.dominated) * behind_the_loop(problem, reference.gain))
+        as_one_loop = (1.0 - limits.dominated) * behind_the_loop(problem, reference.gain)
+        if not problem.nominal.model.description.has_body:
+            as_one_loop = min(as_one_loop, limit * problem.count / limits.samples_of_one_loop)
+        limit = max(limit, as_one_loop)
     pairs: list[tuple[str, str]] = []
     for rival in rivals:
         ours = [k.split(":")[0] for k in chosen.keys if k not in rival.keys]

@@ -719,7 +719,11 @@ def _weights(study: Study, everyone: Sequence[Explanation], chi: Sequence[float]
     problem, chosen = _judged_against(study), study.decision.chosen
     temper = study.limits.temper * (1.0 + max(study.decision.remaining_excess, 0.0))
     if study.reading.one_loop and chosen is not None:
-        temper = max(temper, study.limits.temper_on_one_loop * behind_the_loop(problem, chosen.gain))
+        on_one_loop = study.limits.temper_on_one_loop * behind_the_loop(problem, chosen.gain)
+        if not problem.nominal.model.description.has_body:
+            left = 1.0 + max(study.decision.remaining_excess, 0.0)
+            on_one_loop = min(on_one_loop, problem.count / study.limits.samples_of_one_loop * left)
+        temper = max(temper, on_one_loop)
     costs = np.array(
         [cost(replace(e, chi_square=q), problem, study.limits) for e, q in zip(everyone, chi, strict=True)]
     )
