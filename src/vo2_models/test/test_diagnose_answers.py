@@ -199,6 +199,11 @@ def test_what_surely_explains_most_is_said_where_nothing_is_named(found, share, 
     said = report._nearest_name(replace(found, decision=replace(found.decision, adequacy=adequacy)))
     assert said.startswith("No name is sure: creep with sensor_lag would explain 92 %") is near
     assert (said == "Nothing known explains it") is not near
+    if near:  # what leaves nothing is not refused for what it leaves
+        little = replace(adequacy, left=0.0)
+        answer = replace(found, decision=replace(found.decision, adequacy=little))
+        assert "leaves more than a name may" in said
+        assert "others fit as well" in report._nearest_name(answer)
 
 
 @pytest.mark.parametrize(("beyond", "said"), [(0.5, "1.5 times the power of "), (-0.04, "no more than ")])

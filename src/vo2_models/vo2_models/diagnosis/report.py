@@ -369,9 +369,10 @@ def _nearest_name(study: Study) -> str:
     if found is None or found.share < limits.most_of_it or not limits.sure < found.sigmas < np.inf:
         return "Nothing known explains it"
     names = " with ".join(key.partition(":")[0] for key in found.keys)
+    more = found.something_else(limits) >= limits.doubt
     return (
         f"No name is sure: {names} would explain {100 * found.share:.0f} % of the excess, by {found.sigmas:.0f} standard "
-        "deviations, but leaves more than a name may"
+        f"deviations, but {'leaves more than a name may' if more else 'others fit as well, or it is worse on held-out parts'}"
     )
 
 
