@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -25,13 +25,13 @@ from vo2_models.diagnosis.held_out import HeldOut, block_folds, held_out, record
 from vo2_models.diagnosis.hypotheses import Hypothesis
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import Located
-from vo2_models.diagnosis.moved_alone import left_by, moved_alone
+from vo2_models.diagnosis.moved_alone import constants_leave, left_by, moved_alone
 from vo2_models.diagnosis.next_experiment import by_hand, propose, without_explanation
 from vo2_models.diagnosis.nonparametric_correction import (
     NonparametricCorrection,
     fit_nonparametric_correction,
 )
-from vo2_models.diagnosis.pairs import Option, trace
+from vo2_models.diagnosis.pairs import Option, option_of, trace
 from vo2_models.diagnosis.problem import LinearisedProblem
 from vo2_models.diagnosis.progress import Clock
 from vo2_models.diagnosis.read import Reading
@@ -72,6 +72,8 @@ class Decision:
         and loops together take it up and none is told; empty elsewhere
     alone : moves of few constants that explain by themselves what differs, further than another day may move them, where nothing
         is named
+    as_calibrated : channel that most of an excess is in, where it is left no further than parts of its calibration that the fit
+        had left out; empty where that is not the reason of an agreement
     """
 
     verdict: Literal["agrees", "drifted", "differs"]
@@ -92,6 +94,7 @@ class Decision:
     held: Held | None = None
     taken_up: Mapping[str, float] = field(default_factory=dict)
     alone: Drift | None = None
+    as_calibrated: str = ""
 
 
 @dataclass(frozen=True)
@@ -165,9 +168,10 @@ def _judged(
     rivals, remaining = found.singles, located.total_excess
     judgements: list[Adequacy] = []
     pairs: list[_Verdict] = []
+    refuted: set[str] = set()
     shown = 0.0
     alone = _moved_alone(located, limits, first_use=first_use) if located.own_misfit else None
-    for option in found.options:
+    for option in _asked(located, found, refuted, limits, clock):
         # each recording has a course of its own, of which the others tell nothing
         own = block_folds(problem) if option.chosen.courses else folds
         judged = held_out(option.final, option.chosen, limits, reference=problem, folds=own, tick=clock.tick)
@@ -179,6 +183,8 @@ def _judged(
         doubted = shows and not admissible and len(option.chosen.keys) > 1
         if doubted and _is_admissible(option, judged, adequacy, limits, limits.likelier):
             pairs.append(_Verdict(option, judged, option.rivals, option.remaining, adequacy, shown))
+        if len(option.chosen.keys) == 1 and _worsens(option, judged):
+            refuted.update(option.chosen.keys)
         equivalent: tuple[str, ...] = ()
         if located.own_misfit:
             # what an unchanged device may miss on another path is explained by many effects
@@ -188,7 +194,8 @@ def _judged(
             admissible = admissible and not small and len(option.chosen.keys) == 1
             admissible = admissible and not (alone and _leaves_no_more(problem, alone, option))
             equivalent = _as_adequate(option, found, limits)
-        rivals, remaining = option.rivals, option.remaining
+        rivals = tuple(rival for rival in option.rivals if not refuted.intersection(rival.keys))
+        remaining = option.remaining
         # with a body an effect in the place of constants is judged by itself, below
         hidden = found.hidden and not located.nominal.model.description.has_body
         if admissible and (shows or (hidden and _stands_for_constants(option, found.singles, limits))):
@@ -205,7 +212,7 @@ def _judged(
         adequacy = adequacy_of(option, limits, most=over_constants)
         if _is_admissible(option, judged, adequacy, limits) and judged.share > limits.share:
             alone = _moved_alone(located, limits, first_use=first_use, held=found.held)
-            if alone is None:
+            if alone is None and not _constants_do_it(problem, option, limits):
                 verdict = _Verdict(
                     option, judged, option.rivals, option.remaining, adequacy, shown, held=found.held
                 )
@@ -213,6 +220,22 @@ def _judged(
     likeliest = min(judgements, key=lambda one: one.something_else(limits), default=None)
     nothing = held_out(problem, None, limits, folds=folds)
     return _Verdict(None, nothing, rivals, remaining, likeliest, shown, alone=alone)
+
+
+def _asked(
+    located: Located, found: Search, refuted: set[str], limits: Limits, clock: Clock
+) -> Iterator[Option]:
+    """The options, and where held-out blocks refute the best single effect, those that explain nearly as much.
+
+    `refuted` holds the keys of those that they have refuted so far: what fits best there is not what fits best.
+    """
+    yield from found.options
+    least = limits.dominated * max((single.gain for single in found.singles), default=0.0)
+    for single in found.singles:
+        if not refuted:
+            return
+        if not single.at_bound and single.gain >= least and not refuted.intersection(single.keys):
+            yield option_of(located.nominal, located.problem, single, found.singles, limits, tick=clock.tick)
 
 
 def _with_its_second(single: _Verdict, pairs: Sequence[_Verdict], limits: Limits) -> _Verdict:
@@ -291,9 +314,15 @@ def _unnamed(
     drift = verdict.alone or _drift(problem, problem.residual, verdict.judged)
     mimics: tuple[Hypothesis, ...] = ()
     described = 0.0 if unnamed is None else max(unnamed.share, verdict.shown)
-    if unnamed is None or (described < limits.share and _is_small(located, verdict.judged, limits)):
+    small = unnamed is not None and _is_small(located, verdict.judged, limits)
+    predicted = described >= limits.share
+    asked = small and predicted and not reading.first_use
+    calibrated = _as_calibrated(located, verdict.judged) if asked else ""
+    if unnamed is None or (small and (calibrated or not predicted)):
         # more residual than noise at most, and nothing that predicts it: the fitted loops' own misfit
         unnamed, verdict_word = None, "agrees"
+        if calibrated:
+            drift = _beside_what_is_left(_drift(problem, problem.residual, verdict.judged), located)
         if (
             drift.significant(limits.drift_p)
             and not reading.first_use
@@ -320,7 +349,7 @@ def _unnamed(
         verdict=verdict_word, final=problem, chosen=None, judged=verdict.judged, rivals=verdict.rivals,
         remaining_excess=verdict.remaining, unnamed=unnamed, breakdown=where, rival_pairs=(), proposal=proposal,
         drift=drift, mimics=mimics, adequacy=verdict.adequacy,
-        unlike_noise=loud and unnamed is None, taken_up=taken_up,
+        unlike_noise=loud and unnamed is None, taken_up=taken_up, as_calibrated=calibrated,
         alone=verdict.alone if verdict_word == "differs" and not reading.first_use else None,
     )  # fmt: skip
 
@@ -336,6 +365,18 @@ def _moved_alone(
     problem = located.problem
     rival = left_by(problem, held.option.chosen.effects, np.zeros(problem.origin.size))
     return moved_alone(problem, limits, rival=rival)
+
+
+def _constants_do_it(problem: LinearisedProblem, option: Option, limits: Limits) -> bool:
+    """Whether no more constants than an effect has parameters leave no more than it does, loops as calibrated.
+
+    Then it explains nothing by less: a slow body with the time constant of the film's own is that time constant, moved.
+    """
+    rival = left_by(problem, option.chosen.effects, np.zeros(problem.origin.size))
+    most = (
+        limits.alone_most if option.chosen.courses else min(len(option.chosen.coordinates), limits.alone_most)
+    )
+    return constants_leave(problem, most) <= rival
 
 
 def _leaves_no_more(problem: LinearisedProblem, alone: Drift, option: Option) -> bool:
@@ -392,6 +433,20 @@ def _is_small(located: Located, judged: HeldOut, limits: Limits) -> bool:
     return all(
         judged.after[c] ** 2 - judged.floor[c] ** 2 < (limits.law_misfit * span[c]) ** 2 for c in judged.after
     )
+
+
+def _as_calibrated(located: Located, judged: HeldOut) -> str:
+    """The channel that most of the excess is in, if what is left is no larger, r.m.s., than in parts of its calibration left out.
+
+    A law that misses its own calibration by many noises wanders about another path faster, and no further: what predicts a
+    part of that is no physics. Empty where it is further, and without body, where that is asked of all channels.
+    """
+    count = located.problem.count_by_channel
+    channel = max(located.excess, key=lambda c: located.excess[c] * count.get(c, 0.0))
+    sensor = located.nominal.model.sensors.get(channel)
+    if sensor is None or sensor.misfit <= 0.0 or not located.nominal.model.description.has_body:
+        return ""
+    return channel if judged.after[channel] ** 2 <= sensor.misfit**2 + sensor.noise**2 else ""
 
 
 def _mimics_of_constants(

@@ -18,7 +18,7 @@ from vo2_models.diagnosis.drift import Drift, drift_of
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.problem import LinearisedProblem
 
-__all__ = ["left_by", "moved_alone", "nearest_constant"]
+__all__ = ["constants_leave", "left_by", "moved_alone", "nearest_constant"]
 
 Floats = NDArray[np.float64]
 _TRIED, _ROUNDS, _HALVES = 3, 6, 4
@@ -128,6 +128,24 @@ def nearest_constant(problem: LinearisedProblem) -> tuple[Floats, float]:
     found = [search.searched(start, [k]) for k in search.likely(start, free, before)]
     shift, after = min(found, key=lambda one: float(one[1] @ one[1]))
     return shift, float(after @ after) / float(before @ before)
+
+
+def constants_leave(problem: LinearisedProblem, most: int) -> float:
+    """Return the squared whitened residual that a few moved constants leave, loops as the calibration left them.
+
+    Parameters
+    ----------
+    problem : without effects
+    most : constants at most, each the one that leaves least beside those before it
+    """
+    search, shift = _Search(problem), np.zeros(len(problem.constants))
+    here, places = search.left(shift), list[int]()
+    free = [k for k, c in enumerate(problem.constants) if c.drifts and c.part is None]
+    for _ in range(min(most, len(free))):
+        likely = search.likely(shift, [k for k in free if k not in places], here)
+        trials = [(*search.searched(shift, [*places, k]), [*places, k]) for k in likely]
+        shift, here, places = min(trials, key=lambda one: float(one[1] @ one[1]))
+    return float(here @ here)
 
 
 def moved_alone(problem: LinearisedProblem, limits: Limits, *, rival: float = 0.0) -> Drift | None:

@@ -1212,6 +1212,11 @@ def _further_than_the_calibration(study: Study) -> str:
 
 def _why_enough(study: Study) -> str:
     """Say why an excess is no sign of physics."""
+    if study.decision.as_calibrated:
+        return (
+            f"and in {study.decision.as_calibrated}, where most of it is, what is left is no larger (r.m.s.) than what the fit "
+            "missed of parts of its calibration that it had left out"
+        )
     if study.decision.unlike_noise:
         if _sure(study):
             return "and what predicts some of it leaves most: the fitted loops' own misfit"
@@ -1235,7 +1240,7 @@ def _floor(study: Study) -> str:
     """What the residual is measured by: noise alone, or with it what the fit missed of its own calibration."""
     nominal = study.located.nominal
     if stepped := sorted({one.signal for one in study.shown if "step" in one.values}):
-        return f"the noise, of {' and '.join(stepped)} with the steps of its values,"
+        return f"the noise and the steps of {' and '.join(stepped)}"
     for channel in study.located.excess:
         sensor = nominal.model.sensors.get(channel)
         noise = sensor.noise / (np.log(10.0) if channel == RESISTANCE else 1.0) if sensor else 0.0
