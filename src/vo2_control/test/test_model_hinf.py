@@ -47,7 +47,7 @@ def test_the_law_has_integral_action_holds_the_margins_and_tracks_the_device(
     assert settled.mean() < allowed_m
 
 
-@pytest.mark.parametrize("period", [0.02, 0.1])
+@pytest.mark.parametrize("period", [0.02, pytest.param(0.1, marks=pytest.mark.slow)])
 def test_a_device_of_millimetres_is_scaled_to_the_weights_too(tmp_path, period):
     file = tmp_path / "wire.yaml"
     file.write_text(

@@ -12,7 +12,7 @@ from vo2_models.diagnosis import read as reading
 from vo2_models.diagnosis.files import write_results
 from vo2_models.diagnosis.limits import Limits
 from vo2_models.diagnosis.locate import locate
-from vo2_models.diagnosis.moved_alone import moved_alone
+from vo2_models.diagnosis.moved_alone import constants_leave, left_by, moved_alone
 from vo2_models.diagnosis.nominal import Nominal
 from vo2_models.diagnosis.page import report_page
 from vo2_models.diagnosis.progress import Clock
@@ -219,3 +219,19 @@ def test_a_constant_that_explains_a_recording_by_itself_is_told_with_loops_as_th
     # the loops' own misfit is no move, and an effect of the response is none of these constants
     assert alone(concealed()) is None
     assert alone(concealed({"creep": {"share": 0.06, "time_constant": 0.2}})) is None
+
+
+def test_a_moved_time_constant_is_no_slow_body_of_that_time(parameters) -> None:
+    """What two constants do leaves no more than an effect with three parameters that stands for them."""
+    moved = ((Coefficient.TIME_CONSTANT, 1.04, 0.0), (Coefficient.AMBIENT, 1.0, 0.3))
+    limits, clock = Limits(), Clock(lambda share, text: None, 700)
+    nominal = Nominal.from_parameters(parameters)
+    found = read([concealed(moved=moved)], nominal, (), limits, clock, calibrations=0)
+    problem = locate(found, limits, clock).problem
+    unmoved = np.zeros(problem.origin.size)
+    nothing, one, two = (constants_leave(problem, most) for most in (0, 1, 2))
+    assert nothing == pytest.approx(left_by(problem, {}, unmoved))
+    assert two < one < nothing
+    tau = preset(DEVICE).time_constant
+    slow = {"second_thermal_mode": {"time_constant": 0.92 * tau, "share": -0.5, "gain": 0.0}}
+    assert two < left_by(problem, slow, unmoved)

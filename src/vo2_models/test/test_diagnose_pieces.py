@@ -509,6 +509,46 @@ def test_a_name_that_leaves_another_channel_far_off_is_not_given(monkeypatch, el
     assert decide._is_admissible(option, SimpleNamespace(stable=True), adequacy, Limits()) == named
 
 
+@pytest.mark.parametrize(
+    ("deflection", "expected"),
+    [(0.5, "film_resistance"), (3.0, "")],  # most of the excess is in the resistance; in the deflection
+)
+def test_an_excess_is_the_laws_where_its_channel_is_no_further_off_than_in_the_calibration(
+    deflection, expected
+):
+    sensors = {
+        "film_resistance": SimpleNamespace(misfit=0.04, noise=0.01),
+        "tip_deflection": SimpleNamespace(misfit=1e-7, noise=0.0),
+    }
+    body = SimpleNamespace(description=SimpleNamespace(has_body=True), sensors=sensors)
+    located = SimpleNamespace(
+        excess={"film_resistance": 1.5, "tip_deflection": deflection},
+        problem=SimpleNamespace(count_by_channel={"film_resistance": 1e3, "tip_deflection": 1e3}),
+        nominal=SimpleNamespace(model=body),
+    )
+    judged = SimpleNamespace(after={"film_resistance": 0.041, "tip_deflection": 1.1e-7})
+    assert decide._as_calibrated(located, judged) == expected
+    judged.after["film_resistance"] = 0.042  # beyond the two together
+    assert decide._as_calibrated(located, judged) == ""
+    body.description.has_body = False
+    assert decide._as_calibrated(located, SimpleNamespace(after={"film_resistance": 0.0})) == ""
+
+
+def test_where_held_out_blocks_refute_the_best_effect_the_next_are_asked(monkeypatch):
+    def single(key, gain, *at_bound):
+        return SimpleNamespace(keys=(key,), gain=gain, at_bound=at_bound)
+
+    singles = (single("a", 10.0), single("b", 9.0, "b.share"), single("c", 8.0), single("d", 2.0))
+    monkeypatch.setattr(decide, "option_of", lambda nominal, problem, one, *rest, tick: one)
+    located = SimpleNamespace(nominal=None, problem=None)
+    found = SimpleNamespace(options=("best",), singles=singles)
+    clock = Clock(lambda share, text: None, 1)
+    # nothing refuted: the options alone
+    assert list(decide._asked(located, found, set(), Limits(), clock)) == ["best"]
+    # the best refuted: not itself, none at a bound, none that explains far less
+    assert list(decide._asked(located, found, {"a"}, Limits(), clock)) == ["best", singles[2]]
+
+
 def test_whatever_a_correction_without_a_name_depends_on_has_an_experiment():
     groups = {group for families in (*BY_DEPENDENCE.values(), OF_ONE_LOOP) for group in families}
     assert groups == set(TO_SEE)

@@ -38,6 +38,7 @@ def test_a_structure_that_creeps_is_no_other_device(rig) -> None:
     assert 1.0 < size.left < size.before
 
 
+@pytest.mark.slow
 def test_a_dead_time_shorter_than_a_sample_is_one(rig) -> None:
     device, commands, noise = rig
     late = Plan(dead_time=0.4 * device.preset.sample_period)

@@ -537,6 +537,11 @@ class Limits:
     alone_most: int = _limit(
         3, "constants at most that are told to have moved by themselves: chosen, not derived"
     )
+    as_late: float = _limit(
+        1.5,
+        "times of two sensors over each other up to which both follow something that is late: chosen, not derived; where one "
+        "relaxation had made both they came out as 1.2",
+    )
     alone_lag: float = _limit(
         1.0,
         "sample periods that the lag of a drive which heats nothing must have moved by: how it goes on between samples is not "

@@ -1356,7 +1356,10 @@ def _summary(study: Study, effects: list[NamedEffect], pairs: list[list[str]]) -
             f"{_times_the_floor(study, excess.get(where, 0.0))}, which may hold a part of what is left out)."
         )
     if decision.held is not None:
-        head = "Simulation and recording differ: an effect explains with none moved what constants would have to move for."
+        head = (
+            "Simulation and recording differ: one effect, with no constant moved, explains what several constants would have to "
+            "move for."
+        )
     lead = (
         "The calibration had taken up a part of it"
         if study.reading.first_use

@@ -418,7 +418,47 @@ def _options(
                 pair.chosen, problem, limits
             ):
                 pair, alone = swapped, rival
+    one = _late_for_one_reason(located, pair, singles, limits, clock)
+    if one is not None:
+        return [one]
     return [pair, *_partner_alone(located, pair, alone, limits, clock), alone]
+
+
+def _late_for_one_reason(
+    located: Located, pair: Option, singles: Sequence[Explanation], limits: Limits, clock: Clock
+) -> Option | None:
+    """The effect that is late for the reason that two seem to be: on one sensor, or by the same time on every response.
+
+    A sensor that averages is late and slow, and no clock is off besides; two sensors that are as slow as each other follow
+    something that is. Of the effects that may be the reason, the one that costs least about itself; None if it is no such pair.
+    """
+    hypotheses = pair.chosen.hypotheses
+    signals = {h.signal for h in hypotheses}
+    if not all(h.signal and h.record.between_samples for h in hypotheses):
+        return None
+    if len(signals) == 1:
+        reasons = [
+            e for e in singles if e.hypotheses[0].signal in signals and e.hypotheses[0].record.between_samples
+        ]
+    else:
+        late = [
+            values[h.record.parameters[0].name]
+            for h, values in zip(hypotheses, pair.chosen.values, strict=True)
+        ]
+        if signals != {r.role for r in located.nominal.model.description.responses} or max(
+            late
+        ) > limits.as_late * min(late):
+            return None
+        least = limits.dominated * singles[0].gain
+        reasons = [e for e in singles if not e.hypotheses[0].signal and e.gain >= least and not e.at_bound]
+    if not reasons:
+        return None
+    clock.say("looking for one reason to be late")
+    told = [
+        option_of(located.nominal, located.problem, one, singles, limits, tick=clock.tick)
+        for one in reasons[:RELINEARISED]
+    ]
+    return min(told, key=lambda one: cost(one.chosen, located.problem, limits))
 
 
 def _takes_course(explanation: Explanation) -> bool:
