@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 from vo2_models.device import DeviceModel, preset
 from vo2_models.device.description import described
-from vo2_models.diagnosis import decide
+from vo2_models.diagnosis import decide, search
 from vo2_models.diagnosis.adequacy import Adequacy
 from vo2_models.diagnosis.breakdown import one_loop, turning_points
 from vo2_models.diagnosis.check import Unusable, check_recording
@@ -547,6 +547,44 @@ def test_where_held_out_blocks_refute_the_best_effect_the_next_are_asked(monkeyp
     assert list(decide._asked(located, found, set(), Limits(), clock)) == ["best"]
     # the best refuted: not itself, none at a bound, none that explains far less
     assert list(decide._asked(located, found, {"a"}, Limits(), clock)) == ["best", singles[2]]
+
+
+def test_two_that_are_late_for_one_reason_are_one(monkeypatch):
+    """Two effects of one sensor's time, and the same lag of every response; not lags that differ, nor a gain beside a lag."""
+
+    def one(key, chi_square):
+        name, _, signal = key.partition(":")
+        record = SimpleNamespace(
+            id=name, between_samples=name in {"sensor_lag", "averaging"}, parameters=(time,)
+        )
+        return SimpleNamespace(
+            keys=(key,), hypotheses=(SimpleNamespace(signal=signal, record=record),), chi_square=chi_square, gain=9.0, at_bound=()
+        )  # fmt: skip
+
+    def reason(first, second, *values):
+        pair = SimpleNamespace(
+            hypotheses=(first.hypotheses[0], second.hypotheses[0]),
+            values=[{time.name: value} for value in values],
+        )
+        clock = Clock(lambda share, text: None, 1)
+        return search._late_for_one_reason(located, SimpleNamespace(chosen=pair), singles, Limits(), clock)
+
+    monkeypatch.setattr(
+        search, "option_of", lambda nominal, problem, single, *rest, tick: SimpleNamespace(chosen=single)
+    )
+    monkeypatch.setattr(search, "cost", lambda explanation, *rest: explanation.chi_square)
+    time = SimpleNamespace(name="time")
+    roles = [SimpleNamespace(role=r) for r in ("film_resistance", "tip_deflection")]
+    nominal = SimpleNamespace(model=SimpleNamespace(description=SimpleNamespace(responses=roles)))
+    located = SimpleNamespace(nominal=nominal, problem=None)
+    lag, mean, tip, gain, kinetics = singles = [
+        one("sensor_lag:film_resistance", 5.0), one("averaging:film_resistance", 4.0), one("sensor_lag:tip_deflection", 3.0),
+        one("sensor_gain_drift:film_resistance", 1.0), one("transition_kinetics", 6.0),
+    ]  # fmt: skip
+    assert reason(lag, mean, 0.1, 0.7).chosen is mean
+    assert reason(lag, tip, 0.1, 0.12).chosen is kinetics
+    assert reason(lag, tip, 0.1, 0.2) is None
+    assert reason(lag, gain, 0.1, 0.1) is None
 
 
 def test_whatever_a_correction_without_a_name_depends_on_has_an_experiment():
