@@ -760,6 +760,26 @@ def test_a_late_clock_is_found_where_constants_have_moved_besides(unchanged, mon
     assert _lateness(moved, (TIP_DEFLECTION,)) == []
 
 
+def test_a_late_response_is_found_where_its_gain_has_moved_to_the_other_sign(unchanged, monkeypatch):
+    """A delay of half a swing looks like a gain below nothing: delays are looked for beside the model as calibrated, too."""
+    problem = unchanged.located.problem
+    monkeypatch.setattr(hypotheses, "LONG", problem.weight.size - 1)
+    parts = tuple(
+        replace(part, observed={TIP_DEFLECTION: np.roll(part.observed[TIP_DEFLECTION], 12)})
+        for part in problem.parts
+    )
+    turned = tuple(
+        replace(response, channels={c: -values for c, values in response.channels.items()})
+        for response in problem.nominal_responses
+    )
+    gain = np.zeros_like(problem.origin)
+    gain[problem.column_of("deflection.gain")] = (
+        -2.0 / problem.constants[problem.column_of("deflection.gain")].spread
+    )
+    late = replace(problem, parts=parts, nominal_responses=turned, origin=gain)
+    assert min(abs(delay - 1.2) for delay in _lateness(late, (TIP_DEFLECTION,))) < 0.15
+
+
 @pytest.mark.parametrize(("at_bound", "taken"), [((), 1), (("averaging.window",), 0)])
 def test_what_goes_to_its_bound_does_not_take_the_place_of_what_can_be_named(
     lagging, monkeypatch, at_bound, taken

@@ -394,23 +394,29 @@ def _lateness(problem: LinearisedProblem, channels: Sequence[str]) -> list[float
     """Delays [s] of whole samples at which the simulation is nearest to these channels; none where they are not late.
 
     By the squared distance over the noise of the measured values from the simulated ones, which are `MOST_LATE` samples older at
-    most; and by what the nuisance model leaves of that distance: constants that have moved hide a delay, or look like one. Of
-    long recordings by the first alone, which looks at some samples only.
+    most, constants moved and not; and by what the nuisance model leaves of that distance: constants that have moved hide a
+    delay, or look like one. Of long recordings by the first alone, which looks at some samples only.
     """
-    misfit = np.zeros(MOST_LATE + 1)
-    for row, part, response in problem.iterate():
+    simulations = [problem.nominal_responses]
+    if np.any(
+        problem.origin
+    ):  # constants that have moved to make up for a delay hide it: a gain of the other sign for one
+        simulations.append(tuple(problem.responses({}, np.zeros(problem.origin.size))))
+    misfit = np.zeros((len(simulations), MOST_LATE + 1))
+    for row, part, _ in problem.iterate():
         if row.channel not in channels:
             continue
         counts = np.flatnonzero(problem.weight[row.where] > 0)
         counts = counts[:: max(1, counts.size // ENOUGH)]
-        measured, simulated = part.observed[row.channel][counts], response.channels[row.channel]
-        noise = problem.nominal.noise[row.channel].level
-        for late in range(MOST_LATE + 1):
-            misfit[late] += (
-                float(np.sum((measured - simulated[np.maximum(counts - late, 0)]) ** 2)) / noise**2
-            )
+        measured, noise = part.observed[row.channel][counts], problem.nominal.noise[row.channel].level
+        for far, responses in zip(misfit, simulations, strict=True):
+            simulated = responses[row.part].channels[row.channel]
+            for late in range(MOST_LATE + 1):
+                far[late] += (
+                    float(np.sum((measured - simulated[np.maximum(counts - late, 0)]) ** 2)) / noise**2
+                )
 
-    best, period = {int(np.argmin(misfit))}, max(part.dt for part in problem.parts)
+    best, period = {int(place) for place in np.argmin(misfit, axis=1)}, max(part.dt for part in problem.parts)
     if problem.weight.size > LONG:
         return [late * period for late in best - {0}]
 
