@@ -303,6 +303,7 @@ def test_a_course_is_compared_with_another_beside_the_partner(found, monkeypatch
     monkeypatch.setattr(third_stage, "option_of", lambda nominal, problem, one, *others, **more: option(one))
     monkeypatch.setattr(third_stage, "_in_one_switch", lambda located, alone, *others: alone)
     monkeypatch.setattr(third_stage, "_partner_alone", lambda *others: [])
+    monkeypatch.setattr(third_stage, "_late_for_one_reason", lambda *others: None)
     monkeypatch.setattr(third_stage, "pair_of", paired)
     monkeypatch.setattr(third_stage, "cost", lambda one, problem, limits: one.chi_square)
     quiet = replace(found.located, own_misfit={})

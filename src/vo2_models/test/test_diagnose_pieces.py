@@ -511,14 +511,14 @@ def test_a_name_that_leaves_another_channel_far_off_is_not_given(monkeypatch, el
 
 @pytest.mark.parametrize(
     ("deflection", "expected"),
-    [(0.5, "film_resistance"), (3.0, "")],  # most of the excess is in the resistance; in the deflection
+    [(0.5, "film_resistance"), (3.0, "tip_deflection")],  # in which most of the excess is
 )
 def test_an_excess_is_the_laws_where_its_channel_is_no_further_off_than_in_the_calibration(
     deflection, expected
 ):
     sensors = {
-        "film_resistance": SimpleNamespace(misfit=0.04, noise=0.01),
-        "tip_deflection": SimpleNamespace(misfit=1e-7, noise=0.0),
+        "film_resistance": SimpleNamespace(misfit=0.04),
+        "tip_deflection": SimpleNamespace(misfit=1.2e-7),
     }
     body = SimpleNamespace(description=SimpleNamespace(has_body=True), sensors=sensors)
     located = SimpleNamespace(
@@ -526,9 +526,9 @@ def test_an_excess_is_the_laws_where_its_channel_is_no_further_off_than_in_the_c
         problem=SimpleNamespace(count_by_channel={"film_resistance": 1e3, "tip_deflection": 1e3}),
         nominal=SimpleNamespace(model=body),
     )
-    judged = SimpleNamespace(after={"film_resistance": 0.041, "tip_deflection": 1.1e-7})
+    judged = SimpleNamespace(after={"film_resistance": 0.039, "tip_deflection": 1.1e-7})
     assert decide._as_calibrated(located, judged) == expected
-    judged.after["film_resistance"] = 0.042  # beyond the two together
+    judged.after[expected] *= 1.2
     assert decide._as_calibrated(located, judged) == ""
     body.description.has_body = False
     assert decide._as_calibrated(located, SimpleNamespace(after={"film_resistance": 0.0})) == ""

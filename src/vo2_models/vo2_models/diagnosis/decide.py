@@ -42,6 +42,8 @@ __all__ = ["Decision", "decide", "told_as", "without_a_name"]
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+IN_ITS_PLACE = 3
+"""Effects at most that are asked in the place of one that held-out blocks refute."""
 
 
 @dataclass(frozen=True)
@@ -231,11 +233,11 @@ def _asked(
     """
     yield from found.options
     least = limits.dominated * max((single.gain for single in found.singles), default=0.0)
-    for single in found.singles:
-        if not refuted:
-            return
-        if not single.at_bound and single.gain >= least and not refuted.intersection(single.keys):
-            yield option_of(located.nominal, located.problem, single, found.singles, limits, tick=clock.tick)
+    near = [
+        e for e in found.singles if e.gain >= least and not e.at_bound and not refuted.intersection(e.keys)
+    ]
+    for single in near[:IN_ITS_PLACE] if refuted else ():
+        yield option_of(located.nominal, located.problem, single, found.singles, limits, tick=clock.tick)
 
 
 def _with_its_second(single: _Verdict, pairs: Sequence[_Verdict], limits: Limits) -> _Verdict:
@@ -446,7 +448,7 @@ def _as_calibrated(located: Located, judged: HeldOut) -> str:
     sensor = located.nominal.model.sensors.get(channel)
     if sensor is None or sensor.misfit <= 0.0 or not located.nominal.model.description.has_body:
         return ""
-    return channel if judged.after[channel] ** 2 <= sensor.misfit**2 + sensor.noise**2 else ""
+    return channel if judged.after[channel] <= sensor.misfit else ""
 
 
 def _mimics_of_constants(

@@ -398,9 +398,8 @@ def _lateness(problem: LinearisedProblem, channels: Sequence[str]) -> list[float
     delay, or look like one. Of long recordings by the first alone, which looks at some samples only.
     """
     simulations = [problem.nominal_responses]
-    if np.any(
-        problem.origin
-    ):  # constants that have moved to make up for a delay hide it: a gain of the other sign for one
+    # constants that have moved to make up for a delay hide it: a gain of the other sign, for one
+    if np.any(problem.origin):
         simulations.append(tuple(problem.responses({}, np.zeros(problem.origin.size))))
     misfit = np.zeros((len(simulations), MOST_LATE + 1))
     for row, part, _ in problem.iterate():

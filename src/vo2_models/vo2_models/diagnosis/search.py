@@ -432,22 +432,20 @@ def _late_for_one_reason(
     A sensor that averages is late and slow, and no clock is off besides; two sensors that are as slow as each other follow
     something that is. Of the effects that may be the reason, the one that costs least about itself; None if it is no such pair.
     """
-    hypotheses = pair.chosen.hypotheses
-    signals = {h.signal for h in hypotheses}
-    if not all(h.signal and h.record.between_samples for h in hypotheses):
+    two = pair.chosen.hypotheses
+    signals = {one.signal for one in two}
+    if not all(one.signal and one.record.between_samples for one in two):
         return None
     if len(signals) == 1:
         reasons = [
-            e for e in singles if e.hypotheses[0].signal in signals and e.hypotheses[0].record.between_samples
+            e for e in singles if (h := e.hypotheses[0]).signal in signals and h.record.between_samples
         ]
     else:
-        late = [
-            values[h.record.parameters[0].name]
-            for h, values in zip(hypotheses, pair.chosen.values, strict=True)
+        times = [
+            values[h.record.parameters[0].name] for h, values in zip(two, pair.chosen.values, strict=True)
         ]
-        if signals != {r.role for r in located.nominal.model.description.responses} or max(
-            late
-        ) > limits.as_late * min(late):
+        responses = {response.role for response in located.nominal.model.description.responses}
+        if signals != responses or max(times) > limits.as_late * min(times):
             return None
         least = limits.dominated * singles[0].gain
         reasons = [e for e in singles if not e.hypotheses[0].signal and e.gain >= least and not e.at_bound]
