@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from vo2_interface.one_host import free_domain, keeps_wall_time, missing_settings
+from vo2_interface.one_host import free_domain, missing_settings
 
 SETTINGS = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "FASTRTPS_DEFAULT_PROFILES_FILE")
 PATIENCE_S = 60.0
@@ -113,18 +113,16 @@ def test_every_socket_is_on_the_loopback_interface(command, tmp_path):
         assert node.wait(PATIENCE_S) == 0
 
 
-@pytest.mark.parametrize("told", ["parameter", "file"])
-def test_what_keeps_wall_time_waits_for_nobodys_shared_memory(told, tmp_path):
-    file = tmp_path / "wall.yaml"
-    file.write_text("/**:\n  ros__parameters:\n    time: wall\n    rate_hz: 40.0\n")
-    how = ["--params-file", str(file)] if told == "file" else ["-p", "time:=wall", "-p", "rate_hz:=40.0"]
+@pytest.mark.parametrize("time_base", ["lockstep", "wall"])
+def test_nobody_waits_for_the_shared_memory_of_another(time_base):
     # as a process gets it from one that has taken our settings
     environment = {**plain_environment(), **missing_settings({})}
+    how = ["-p", f"time:={time_base}", "-p", "rate_hz:=40.0"]
     with running([installed("vo2_plant_sim", "plant"), "--ros-args", *how], environment) as node:
         found = wait_for(lambda: bound_addresses(node.pid), "a socket")
         time.sleep(1.0)
         assert {address for address, _ in found | bound_addresses(node.pid)} == {"0100007F"}
-        assert "fastrtps_port" not in Path(f"/proc/{node.pid}/maps").read_text()
+        assert "/dev/shm/fastrtps" not in Path(f"/proc/{node.pid}/maps").read_text()
         assert node.poll() is None
 
 
@@ -139,17 +137,10 @@ def test_one_variable_opens_the_graph_to_the_network():
 def test_what_the_user_has_set_stays():
     assert set(missing_settings({})) == {"ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"}
     chosen = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF", "FASTRTPS_DEFAULT_PROFILES_FILE": "own.xml"}
-    assert missing_settings(chosen) == missing_settings(chosen, wall_time=True) == {}
+    assert missing_settings(chosen) == {}
     assert missing_settings({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}).keys() == {
         "FASTRTPS_DEFAULT_PROFILES_FILE"
     }
-
-
-def test_wall_time_is_read_from_the_command_line(tmp_path):
-    assert keeps_wall_time(["plant", "--ros-args", "-p", "time:=wall"])
-    assert keeps_wall_time(["plant", "--ros-args", "--param", "plant:time:='wall'"])
-    for other in (["-p", "time:=lockstep"], ["-p", "steptime:=wall"], ["-p"], ["--params-file", "nowhere"]):
-        assert not keeps_wall_time(["plant", "--ros-args", *other])
 
 
 def test_a_program_without_our_settings_hears_the_nodes():
@@ -217,42 +208,6 @@ def test_a_recorder_that_stands_still_for_almost_half_a_second_loses_nothing_at_
         said, _ = recorder.communicate(timeout=PATIENCE_S)
     assert "Recorded 2500 messages" in said
     assert "did not arrive" not in said
-
-
-def segments():
-    """Shared-memory segments of Fast DDS on this host: name -> size in bytes."""
-    names = Path("/dev/shm").glob("fastrtps_*")
-    return {
-        path.name: path.stat().st_size
-        for path in names
-        if not path.name.endswith(("_el", "_sl")) and "port" not in path.name and path.exists()
-    }
-
-
-def segments_of(pid):
-    found = {
-        Path(link).name.removesuffix("_el")
-        for link in open_files(pid)
-        if link.startswith("/dev/shm/fastrtps_")
-    }
-    return {name for name in found if "port" not in name}
-
-
-def test_a_later_start_reclaims_the_memory_of_a_killed_process_and_of_no_other():
-    plant = [installed("vo2_plant_sim", "plant")]
-    with running(plant, plain_environment()) as alive, running(plant, plain_environment()) as killed:
-        for each in (alive, killed):
-            wait_for(lambda pid=each.pid: segments_of(pid), "a segment")
-        time.sleep(6.0)  # young ones are left alone
-        kept, left = segments_of(alive.pid), segments_of(killed.pid)
-        killed.kill()
-        killed.wait()
-        assert left <= segments().keys()
-        assert sum(segments()[name] for name in left) > 16e6
-        with running(plant, plain_environment()) as third:
-            wait_for(lambda: segments_of(third.pid), "a start")
-            assert not left & segments().keys()
-            assert kept <= segments().keys()
 
 
 @pytest.mark.parametrize(

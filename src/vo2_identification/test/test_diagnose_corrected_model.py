@@ -23,6 +23,7 @@ def sagging(recording: Recording) -> Recording:
     return Recording(recording.time_s, {**recording.channels, TIP_DEFLECTION: tip}, recording.device)
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_correction_of_what_has_no_name(tmp_path) -> None:
     save_model_parameters(tmp_path / "model.yaml", calibrated())
     write_bag(tmp_path / "later", sagging(concealed(seed=31, samples=3000)))

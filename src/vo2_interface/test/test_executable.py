@@ -6,10 +6,8 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from pathlib import Path
 
-from vo2_interface.one_host import free_domain, reclaim_shared_memory
+from vo2_interface.one_host import free_domain
 from vo2_interface.testing import bench
 
 STUCK = """
@@ -136,36 +134,3 @@ def test_a_subscription_keeps_as_many_samples_as_it_asks_for():
         for k in range(count):
             rig.say("/vo2/measurement", k, {"heater_current": 1e-3})
         rig.until(lambda: len(rig.heard["/vo2/measurement"]) == count)
-
-
-def test_a_port_whose_maker_was_killed_holds_nobody_up():
-    """Killed between making the file and giving it a size: Fast DDS waits for the size without end."""
-    domain = free_domain()
-    # the first participant's port for data to it alone: DDSI-RTPS 2.5, section 9.6.2.4
-    port = Path(f"/dev/shm/fastrtps_port{7400 + 250 * domain + 11}")
-    port.touch()
-    os.utime(port, (time.time() - 60.0,) * 2)
-    made = "import rclpy; from vo2_interface.executable import join_graph as j; j(['x']); rclpy.create_node('x'); print('made')"
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
-    try:
-        done = subprocess.run(
-            [sys.executable, "-c", made],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=40,
-            check=False,
-        )
-        assert "made" in done.stdout, done.stderr
-    finally:
-        port.unlink(missing_ok=True)
-
-
-def test_of_ports_only_the_old_ones_without_content_are_removed(tmp_path):
-    for name, size, age in (("7411", 0, 60), ("7413", 0, 0), ("7415", 100, 60), ("7415_el", 0, 60)):
-        (tmp_path / f"fastrtps_port{name}").write_bytes(bytes(size))
-        os.utime(tmp_path / f"fastrtps_port{name}", (time.time() - age,) * 2)
-    assert reclaim_shared_memory(tmp_path) == 1
-    assert sorted(each.name for each in tmp_path.iterdir()) == [
-        f"fastrtps_port{name}" for name in ("7413", "7415", "7415_el")
-    ]

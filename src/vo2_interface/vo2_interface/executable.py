@@ -29,7 +29,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from vo2_interface.one_host import keeps_wall_time, missing_settings, reclaim_shared_memory
+from vo2_interface.one_host import missing_settings
 from vo2_interface.timers import create_steady_timer
 from vo2_interface.usage import ARGUMENTS, usage
 
@@ -160,8 +160,7 @@ def join_graph(args: Sequence[str] | None = None) -> None:
     ValueError : ROS arguments that cannot be used; one line.
     """
     # read by rcl and by Fast DDS when the first participant is made
-    os.environ.update(missing_settings(wall_time=keeps_wall_time(sys.argv if args is None else args)))
-    reclaim_shared_memory()
+    os.environ.update(missing_settings())
     try:
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # rclpy raises bare RuntimeErrors of its C layer here
