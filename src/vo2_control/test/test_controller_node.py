@@ -269,6 +269,7 @@ def test_robust_design_for_the_wrong_device_is_refused_at_the_start():
         rig.add(ControllerNode)
 
 
+@pytest.mark.slow
 def test_robust_design_from_the_model_and_a_model_without_dynamics_leaves_it_at_work(fitted_model):
     """What is asked over the service: a law for this model; for a model without dynamics one line, and the former law stays."""
     with controller("kind:=pi") as rig:

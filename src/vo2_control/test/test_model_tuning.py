@@ -39,6 +39,7 @@ def test_gains_from_a_crude_model_track_steps_on_the_device(
     assert settled.mean() < allowed_m
 
 
+@pytest.mark.slow
 def test_a_law_that_cycles_around_the_width_of_the_loop_is_not_taken_nor_one_that_is_all_there_is(
     crude_model, monkeypatch
 ):

@@ -62,6 +62,7 @@ def test_tuned_loop_keeps_its_promise_and_is_not_timid(gain, tau, theta, period,
     assert tuned.worst.sensitivity_peak > 1.59
 
 
+@pytest.mark.slow
 def test_no_other_pi_within_the_limits_has_more_integral_gain():
     """Against a random search over the same constraints."""
     plant, period, limit = ThermalLag(-2.0, 1.0, 0.2), 0.05, 1.6

@@ -544,6 +544,7 @@ def test_a_steady_light_beside_a_drift_is_a_room_that_has_moved(parameters) -> N
     assert any("laser_heating acting all the time" in text for text in answer.limits)
 
 
+@pytest.mark.slow
 def test_gaps_in_which_the_film_went_elsewhere_name_nothing(parameters) -> None:
     plain = concealed()
     kept = np.ones(len(plain), dtype=bool)

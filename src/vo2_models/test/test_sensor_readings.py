@@ -106,6 +106,7 @@ def test_a_hum_that_is_the_smaller_part_of_what_has_no_name_is_told_and_not_name
     assert found.next_experiment is not None and found.next_experiment.kind == "manual"
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:no step of the drive")
 def test_what_the_calibration_had_is_not_new(model):
     levels, _ = model
