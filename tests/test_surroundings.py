@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_plain_start import installed, running, wait_for
+from test_plain_start import bound_addresses, installed, running, wait_for
 from vo2_interface.one_host import free_domain
 from vo2_interface.testing import bench
 
@@ -94,7 +94,7 @@ def test_two_graphs_in_other_namespaces_and_domains_do_not_meet():
             running([*plant, "__ns:=/two"], foreign) as far,
         ):
             rig.until(lambda: len(rig.heard["/one/measurement"]) > 3, 60.0)
-            wait_for(lambda: "fastrtps_port" in Path(f"/proc/{far.pid}/maps").read_text(), "the second graph")
+            wait_for(lambda: bound_addresses(far.pid), "the second graph")
             rig.spin(1.0)
             assert rig.heard["/two/measurement"] == []
             with running([*plant, "__ns:=/two"], dict(os.environ)):
